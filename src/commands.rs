@@ -184,7 +184,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Log(arguments) => log::run(&arguments),
         Command::Film(arguments) => film::run(&arguments),
         Command::Plot(arguments) => plot::run(&arguments),
-        Command::Page(arguments) => page::run(arguments),
+        Command::Page(arguments) => page::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Health(arguments) => control::health(&arguments),

@@ -82,13 +82,21 @@ impl Listening {
 pub(crate) struct PageArguments {
     /// Address of the run's web page and Prometheus metrics (/metrics); off disables both.
     #[arg(long, value_name = "ADDRESS | off", default_value = "127.0.0.1:0")]
-    pub(crate) page: PageAddress,
+    page: PageAddress,
+    /// Access.
+    #[command(flatten)]
+    access: PageAccess,
+}
+
+/// Who may see a page.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct PageAccess {
     /// Additional host names and addresses accepted in requests for the page, besides loopback.
     #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
-    pub(crate) page_host: Vec<String>,
-    /// Allow a non-loopback --page address without encryption and authentication.
+    page_host: Vec<String>,
+    /// Allow a page on a non-loopback address without encryption and authentication.
     #[arg(long)]
-    pub(crate) insecure_allow_remote_page: bool,
+    insecure_allow_remote_page: bool,
 }
 
 /// Address of the page, if it is enabled.
@@ -114,40 +122,64 @@ impl FromStr for PageAddress {
     }
 }
 
-/// Refuses an address that other machines can reach in plain text unless that is allowed.
-pub(crate) fn check_page(arguments: &PageArguments, tls: Option<&ServerTls>) -> Result<(), Usage> {
-    let PageAddress::At(address) = arguments.page else { return Ok(()) };
-    hosts(&arguments.page_host)?;
-    if arguments.insecure_allow_remote_page || tls.is_some() {
-        return Ok(());
+impl PageArguments {
+    /// Refuses an address that other machines can reach in plain text unless that is allowed.
+    pub(crate) fn check(&self, tls: Option<&ServerTls>) -> Result<(), Usage> {
+        let PageAddress::At(address) = self.page else { return Ok(()) };
+        let permission = "pass --page-tls (s2mia learner with certificates) or --insecure-allow-remote-page to allow \
+             that, and --page-host with the names they use";
+        match tls {
+            Some(_) => self.access.hosts().map(drop),
+            None => self.access.check("--page", address, permission),
+        }
     }
-    let permission = "pass --page-tls (s2mia learner with certificates) or --insecure-allow-remote-page to allow that, \
-         and --page-host with the names they use";
-    demand_loopback("--page", address, permission)
+
+    /// Opens the page, if it is enabled, and prints its URL.
+    ///
+    /// # Errors
+    /// The address is in use or invalid.
+    pub(crate) async fn open(&self, tls: Option<ServerTls>) -> anyhow::Result<Option<Page>> {
+        let PageAddress::At(address) = self.page else { return Ok(None) };
+        let advice = "choose another port, or 0 for any free one, or --page off";
+        Ok(Some(self.access.open(("--page", address), advice, tls).await?))
+    }
 }
 
-/// Opens the page and prints its URL.
-///
-/// # Errors
-/// The address is in use or invalid.
-pub(crate) async fn open_page(
-    arguments: &PageArguments,
-    tls: Option<ServerTls>,
-) -> anyhow::Result<Option<Page>> {
-    let PageAddress::At(address) = arguments.page else { return Ok(None) };
-    let listener = TcpListener::bind(address).await.map_err(|error| {
-        Usage::new(format!(
-            "--page {address}: {error}; choose another port, or 0 for any free one, or --page off"
-        ))
-    })?;
-    let scheme = if tls.is_some() { "https" } else { "http" };
-    output::line(format!("page: {scheme}://{}", listener.local_addr()?));
-    Ok(Some(Page { listener, hosts: hosts(&arguments.page_host)?, tls }))
-}
+impl PageAccess {
+    /// Refuses invalid host names, and the address that `flag` gives if other machines can reach it and are not allowed to.
+    pub(crate) fn check(
+        &self,
+        flag: &str,
+        address: SocketAddr,
+        permission: &str,
+    ) -> Result<(), Usage> {
+        self.hosts()?;
+        if self.insecure_allow_remote_page {
+            return Ok(());
+        }
+        demand_loopback(flag, address, permission)
+    }
 
-/// The hosts that `--page-host` allows.
-pub(crate) fn hosts(names: &[String]) -> Result<Hosts, Usage> {
-    Hosts::with(names).map_err(|error| Usage::new(format!("--page-host: {error}")))
+    /// Opens a page at the address that `flag` gives and prints its URL; `advice` says what else to do if that fails.
+    pub(crate) async fn open(
+        &self,
+        (flag, address): (&str, SocketAddr),
+        advice: &str,
+        tls: Option<ServerTls>,
+    ) -> anyhow::Result<Page> {
+        let listener = TcpListener::bind(address)
+            .await
+            .map_err(|error| Usage::new(format!("{flag} {address}: {error}; {advice}")))?;
+        let scheme = if tls.is_some() { "https" } else { "http" };
+        output::line(format!("page: {scheme}://{}", listener.local_addr()?));
+        Ok(Page { listener, hosts: self.hosts()?, tls })
+    }
+
+    /// The hosts that `--page-host` allows.
+    fn hosts(&self) -> Result<Hosts, Usage> {
+        let hosts = Hosts::with(&self.page_host);
+        hosts.map_err(|error| Usage::new(format!("--page-host: {error}")))
+    }
 }
 
 /// The token in `S2MIA_TOKEN`, if the variable is set.
@@ -198,20 +230,21 @@ mod tests {
     }
 
     fn arguments(page: &str) -> PageArguments {
-        let page = page.parse().unwrap();
-        PageArguments { page, page_host: Vec::new(), insecure_allow_remote_page: false }
+        let access = PageAccess { page_host: Vec::new(), insecure_allow_remote_page: false };
+        PageArguments { page: page.parse().unwrap(), access }
     }
 
     #[test]
     fn only_this_machine_sees_the_page_without_being_told() {
         for page in ["127.0.0.1:8080", "[::1]:0", "off"] {
-            assert!(check_page(&arguments(page), None).is_ok(), "{page}");
+            assert!(arguments(page).check(None).is_ok(), "{page}");
         }
         for page in ["0.0.0.0:8080", "192.168.1.2:1", "[::]:0"] {
-            let refused = check_page(&arguments(page), None).unwrap_err().to_string();
+            let refused = arguments(page).check(None).unwrap_err().to_string();
             assert!(refused.contains("--insecure-allow-remote-page"), "{refused}");
-            let allowed = PageArguments { insecure_allow_remote_page: true, ..arguments(page) };
-            assert!(check_page(&allowed, None).is_ok(), "{page}");
+            let mut allowed = arguments(page);
+            allowed.access.insecure_allow_remote_page = true;
+            assert!(allowed.check(None).is_ok(), "{page}");
         }
         assert!("8080".parse::<PageAddress>().is_err());
     }
@@ -220,8 +253,7 @@ mod tests {
     async fn a_port_that_is_taken_is_named_in_one_line() {
         let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = taken.local_addr().unwrap();
-        let refused =
-            open_page(&arguments(&address.to_string()), None).await.unwrap_err().to_string();
+        let refused = arguments(&address.to_string()).open(None).await.unwrap_err().to_string();
         assert!(refused.starts_with(&format!("--page {address}: ")), "{refused}");
         assert!(!refused.contains('\n') && refused.contains("--page off"), "{refused}");
     }

@@ -1,9 +1,8 @@
-//! The progress that `s2mia train` and `s2mia learner` print: a bar on a terminal, plain lines elsewhere.
-//! `progress/work.rs` is the progress of shorter commands.
-
-mod work;
+//! The progress that commands print: of a run, a bar on a terminal and plain lines elsewhere; of shorter work, such as
+//! `s2mia eval`, a bar on stderr if that is a terminal. Stdout keeps the results of such commands alone.
 
 use std::collections::VecDeque;
+use std::fmt::Display;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
@@ -13,8 +12,6 @@ use learner::{Event, IterationReport};
 
 use crate::figures::chart;
 use crate::process::output;
-
-pub(crate) use work::WorkProgress;
 
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
@@ -103,11 +100,8 @@ impl Drop for Progress {
 fn bar(total: u64) -> ProgressBar {
     let bars = output::bars();
     bars.set_draw_target(ProgressDrawTarget::stdout());
-    let style = ProgressStyle::with_template(
-        "{bar:40.cyan/black} {human_pos}/{human_len} steps ({percent} %)\n{wide_msg}",
-    );
-    let style = style.expect("the template is well formed").progress_chars("━╸─");
-    bars.add(ProgressBar::new(total).with_style(style))
+    let style = "{bar:40.cyan/black} {human_pos}/{human_len} steps ({percent} %)\n{wide_msg}";
+    bars.add(styled(ProgressBar::new(total), style))
 }
 
 /// Iterations over which speed and phase shares are averaged.
@@ -239,6 +233,42 @@ fn keep<T>(values: &mut VecDeque<T>, value: T, limit: usize) {
     while values.len() > limit {
         values.pop_front();
     }
+}
+
+/// How far a command is that works through a known amount.
+pub(crate) struct WorkProgress(ProgressBar);
+
+impl WorkProgress {
+    /// Before any work.
+    pub(crate) fn new() -> Self {
+        let style = "{bar:24.cyan/black} {percent} %, {eta} left: {wide_msg}";
+        Self(output::bars().add(styled(ProgressBar::new(0), style)))
+    }
+
+    /// `done` of `total` is done; `place` states which part of the work, such as `episode 3/10`.
+    pub(crate) fn reach(&self, done: u64, total: u64, place: impl FnOnce() -> String) {
+        if !self.0.is_hidden() {
+            self.0.set_length(total);
+            self.0.set_position(done);
+            self.0.set_message(place());
+        }
+    }
+
+    /// Prints a result on stdout, above the bar.
+    pub(crate) fn print(&self, text: impl Display) {
+        output::bars().suspend(|| output::line(text));
+    }
+}
+
+impl Drop for WorkProgress {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+fn styled(bar: ProgressBar, template: &str) -> ProgressBar {
+    let style = ProgressStyle::with_template(template).expect("templates are well formed");
+    bar.with_style(style.progress_chars("━╸─"))
 }
 
 #[cfg(test)]

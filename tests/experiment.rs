@@ -8,6 +8,7 @@ mod experiments;
 use std::path::Path;
 use std::process::Command;
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use experiments::{Experiment, s2mia};
 
@@ -87,7 +88,7 @@ fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
     let process = experiment.start_part(&["--shard", "1/2"]);
     let begun = experiment.folder().join("cue-2x1-long-seed3/metrics.jsonl");
     while !begun.exists() {
-        std::thread::yield_now();
+        std::thread::sleep(Duration::from_millis(5));
     }
     // A cluster signals all processes of a job, and the job's script passes the signal on.
     for _ in 0..2 {

@@ -208,7 +208,7 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
         ),
         (Some(_), true) => format!("{shown} is finished: {at}"),
         (Some(_), false) => {
-            format!("{shown} is stopped: {at}; `s2mia train --resume {run}` goes on")
+            format!("{shown} is stopped: {at}; `s2mia train --resume {run}` resumes it")
         }
     });
     Ok(())

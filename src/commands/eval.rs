@@ -13,8 +13,7 @@ use sim::EnvironmentBatch;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
-use crate::run::checkpointed;
-use crate::run::checkpointed::Trained;
+use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::Stage;
 
 /// `s2mia eval`
@@ -61,7 +60,7 @@ fn play(
     arguments: &EvalArguments,
 ) -> anyhow::Result<Vec<Episode>> {
     let most = u64::from(world.description().episode_steps);
-    let (count, mut progress) = (arguments.episodes, WorkProgress::new());
+    let (count, progress) = (arguments.episodes, WorkProgress::new());
     let episode = |episode: u32| {
         let choice = match arguments.sampled {
             Some(seed) => ActionChoice::Sampled { seed: seed.wrapping_add(episode.into()) },

@@ -70,13 +70,13 @@ fn export(
     target::file(&folder.join("policy.safetensors"), &snapshot.to_bytes()?)?;
     files.push(("policy.safetensors".to_owned(), "all agents' weights".to_owned()));
     let chosen = trained.episode(0);
-    let episode = play(world, snapshot, chosen.key(), &mut WorkProgress::new())?;
+    let episode = play(world, snapshot, chosen.key(), &WorkProgress::new())?;
     target::file(&folder.join("episode.safetensors"), &episode.to_bytes()?)?;
     let (value, steps) = (episode.extrinsic_return, episode.steps);
-    let told = format!(
+    let contents = format!(
         "{chosen}: return {value:.2}, {steps} steps; each observation, hidden state, action"
     );
-    files.push(("episode.safetensors".to_owned(), told));
+    files.push(("episode.safetensors".to_owned(), contents));
     let is_new = |path: &PathBuf| files.iter().any(|(name, _)| path.ends_with(name));
     for path in earlier.into_iter().filter(|path| !is_new(path)) {
         std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
@@ -153,7 +153,7 @@ fn play(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
     start: Key,
-    progress: &mut WorkProgress,
+    progress: &WorkProgress,
 ) -> Result<ComparedEpisode, SimError> {
     let most = u64::from(world.description().episode_steps);
     let mut agents: Vec<Track> = Vec::new();

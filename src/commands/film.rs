@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use crate::errors::Usage;
-use crate::film;
-use crate::film::{Frame, PlayedEpisode};
+use crate::film::{self, Frame, PlayedEpisode};
 use crate::process::output;
 use crate::process::target::{ForceArguments, Target};
 use crate::run::checkpointed::Trained;

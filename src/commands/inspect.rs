@@ -37,13 +37,13 @@ pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());
     if arguments.json {
-        let told = json!({
+        let object = json!({
             "iteration": checkpoint.iteration,
             "env_steps": checkpoint.env_steps,
             "weights_sha256": weights,
             "state_sha256": state,
         });
-        output::line(told);
+        output::line(object);
         return Ok(());
     }
     output::line(format!("checkpoint     {}", loaded.path.display()));

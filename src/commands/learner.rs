@@ -8,12 +8,10 @@ use clap::Args;
 use security::ServerTls;
 use tokio::sync::watch;
 
-use crate::listening;
-use crate::listening::{Listening, PageArguments};
+use crate::listening::{self, Listening, PageArguments};
 use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
-use crate::run::launch;
-use crate::run::launch::{Prepared, ResumeArguments, SettingsArguments};
+use crate::run::launch::{self, Prepared, ResumeArguments, SettingsArguments};
 use crate::tls::ServerTlsArguments;
 
 /// `s2mia learner`
@@ -49,7 +47,7 @@ pub(crate) struct LearnerArguments {
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
     let page_tls = listening.tls().filter(|_| arguments.page_tls).map(ServerTls::for_page);
-    listening::check_page(&arguments.page, page_tls.as_ref())?;
+    arguments.page.check(page_tls.as_ref())?;
     let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
     // Before the launch, which takes a moment, so that a stop is never lost.
     runtime.block_on(async {
@@ -83,7 +81,7 @@ async fn serve(
         listener = listener.with_token(token, &folder);
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
-    let page = listening::open_page(&arguments.page, page_tls).await?;
+    let page = arguments.page.open(page_tls).await?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::Event| progress.observe(event));
     let summary =

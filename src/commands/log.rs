@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use learner::run_folder::RunFolder;
-use recording::trajectory_log;
 use recording::trajectory_log::{
-    LogError, ReadShares, Replayed, is_log_name, read_bytes, read_shares,
+    self, LogError, ReadShares, Replayed, is_log_name, read_bytes, read_shares,
 };
 
 use crate::errors::{Incomplete, Usage};
@@ -29,7 +28,7 @@ pub(crate) struct LogArguments {
 /// Ends with status 1 if a file is damaged or a replayed step differs, with 3 if only data is missing.
 pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
     let paths = paths(&arguments.files)?;
-    let (all, mut done, mut progress) = (sizes(&paths), 0, WorkProgress::new());
+    let (all, mut done, progress) = (sizes(&paths), 0, WorkProgress::new());
     let (mut cut_off, mut lost) = (0, 0);
     for path in &paths {
         let bytes = in_file(path, read_bytes(path))?;
@@ -37,7 +36,7 @@ pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
         cut_off += log.torn_steps;
         lost += log.lost_shares();
         if arguments.replay {
-            replay(path, &bytes, (done, all), &mut progress)?;
+            replay(path, &bytes, (done, all), &progress)?;
         }
         done += size(path);
         progress.reach(done, all, || format!("read {}", run_path::name(path)));
@@ -77,7 +76,7 @@ fn replay(
     path: &Path,
     bytes: &[u8],
     (done, all): (u64, u64),
-    progress: &mut WorkProgress,
+    progress: &WorkProgress,
 ) -> anyhow::Result<()> {
     let replayed = trajectory_log::replay(bytes, |step, steps| {
         let here = bytes.len() as f64 * step as f64 / steps.max(1) as f64;

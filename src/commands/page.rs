@@ -9,13 +9,11 @@ use clap::Args;
 use learner::json_lines::JsonLinesReader;
 use learner::metrics::Curves;
 use learner::run_folder::RunFolder;
-use learner::{OverlaidRun, Overlay, Page};
-use tokio::net::TcpListener;
+use learner::{OverlaidRun, Overlay};
 
-use crate::errors::Usage;
 use crate::figures::learning_curve;
-use crate::listening::{demand_loopback, hosts};
-use crate::process::{output, runtime};
+use crate::listening::PageAccess;
+use crate::process::runtime;
 use crate::run::run_path;
 
 /// `s2mia page`
@@ -32,43 +30,35 @@ pub(crate) struct PageArguments {
         value_parser = crate::listening::address
     )]
     pub(crate) listen: SocketAddr,
-    /// Additional host names and addresses accepted in requests, besides loopback.
-    #[arg(long, value_name = "HOST,...", value_delimiter = ',')]
-    pub(crate) page_host: Vec<String>,
-    /// Allow a non-loopback --listen address without encryption and authentication.
-    #[arg(long)]
-    pub(crate) insecure_allow_remote_page: bool,
+    /// Access.
+    #[command(flatten)]
+    pub(crate) access: PageAccess,
 }
 
 /// How often the metrics are read, at most.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Serves the page until the process is stopped.
-pub(super) fn run(arguments: PageArguments) -> anyhow::Result<()> {
-    if !arguments.insecure_allow_remote_page {
-        let permission = "pass --insecure-allow-remote-page to allow that, and --page-host with \
-             the names they use";
-        demand_loopback("--listen", arguments.listen, permission)?;
-    }
-    let hosts = hosts(&arguments.page_host)?;
-    let folders = if arguments.runs.is_empty() { run_path::all_runs()? } else { arguments.runs };
+pub(super) fn run(arguments: &PageArguments) -> anyhow::Result<()> {
+    let PageArguments { listen, access, .. } = arguments;
+    let permission =
+        "pass --insecure-allow-remote-page to allow that, and --page-host with the names they use";
+    access.check("--listen", *listen, permission)?;
+    let folders =
+        if arguments.runs.is_empty() { run_path::all_runs()? } else { arguments.runs.clone() };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
     let folders: Vec<_> = folders.iter().map(|folder| RunFolder::of(folder)).collect();
     let followed = Mutex::new(Followed::of(&folders));
     let look = move || followed.lock().unwrap_or_else(PoisonError::into_inner).look();
     runtime()?.block_on(async {
-        let listener = TcpListener::bind(arguments.listen).await.map_err(|error| {
-            let advice = "choose another port, or 0 for any free one";
-            Usage::new(format!("--listen {}: {error}; {advice}", arguments.listen))
-        })?;
-        output::line(format!("page: http://{}", listener.local_addr()?));
-        let page = Page { listener, hosts, tls: None };
+        let advice = "choose another port, or 0 for any free one";
+        let page = access.open(("--listen", *listen), advice, None).await?;
         learner::serve_overlay(page, look).await;
         Ok(())
     })
 }
 
-/// Several runs, whose metrics are read when somebody asks.
+/// Several runs, whose metrics are read when the page is requested.
 struct Followed {
     runs: Vec<FollowedRun>,
     version: u64,

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use learner::run_folder::RunFolder;
 
-use crate::figures;
-use crate::figures::learning_curve;
 use crate::figures::learning_curve::Curve;
+use crate::figures::{self, learning_curve};
 use crate::process::target::ForceArguments;
 use crate::process::{output, target};
 

@@ -65,7 +65,7 @@ fn played(
 ) -> Result<RecordSummary, RecordError> {
     let world = stage.environment.as_mut();
     let most = u64::from(world.description().episode_steps);
-    let (count, mut progress) = (episodes.len(), WorkProgress::new());
+    let (count, progress) = (episodes.len(), WorkProgress::new());
     recording::record(world, run, episodes, path, |index, step| {
         let place = || format!("episode {}/{count}, step {step}", index + 1);
         progress.reach(index as u64 * most + u64::from(step), count as u64 * most, place);

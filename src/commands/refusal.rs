@@ -23,7 +23,7 @@ pub(crate) fn report(error: &clap::Error) -> ExitCode {
         };
     }
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        // It goes to stderr; nothing can report that nobody reads it.
+        // It goes to stderr; a failure cannot be reported.
         let _unread = error.print();
     } else {
         output::error(one_line(error));

@@ -101,7 +101,7 @@ impl ServedRun {
         }
     }
 
-    /// Loads each new checkpoint on a thread of its own until the process ends.
+    /// Loads each new checkpoint on a separate thread until the process ends.
     fn follow(self) -> anyhow::Result<()> {
         if learner::checkpoint::is_checkpoint(&self.path) {
             let shown = self.path.display();

@@ -12,8 +12,7 @@ use super::tasks;
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
 use crate::errors::Usage;
-use crate::film;
-use crate::film::{Frame, RobotShapes};
+use crate::film::{self, Frame, RobotShapes};
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, shell, target};
 

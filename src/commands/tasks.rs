@@ -10,8 +10,7 @@ use sim::EnvironmentBatch;
 
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, layers};
-use crate::film;
-use crate::film::RobotShapes;
+use crate::film::{self, RobotShapes};
 use crate::process::target::ForceArguments;
 use crate::process::{output, target};
 

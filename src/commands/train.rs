@@ -15,7 +15,6 @@ use tokio::sync::watch;
 
 use crate::config::run_config::RunConfig;
 use crate::figures::{chart, learning_curve};
-use crate::listening;
 use crate::listening::PageArguments;
 use crate::process::{output, runtime, shell, signals};
 use crate::progress::Progress;
@@ -54,7 +53,7 @@ pub(crate) struct TrainArguments {
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
-    listening::check_page(&arguments.page, None)?;
+    arguments.page.check(None)?;
     let mut prepared =
         launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     let audit = &mut prepared.launch.config.audit;
@@ -78,7 +77,7 @@ async fn train(
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let Prepared { config, folder, launch, new: _new } = prepared;
-    let page = listening::open_page(page, None).await?;
+    let page = page.open(None).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
     let token = Token::random()?;

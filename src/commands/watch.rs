@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &WatchArguments) -> anyhow::Result<()> {
     runtime()?.block_on(Watch::new(arguments).until_the_end(outage))
 }
 
-/// How far somebody has watched.
+/// A watcher and the last iteration that it has shown.
 struct Watch<'a> {
     arguments: &'a WatchArguments,
     run_id: Option<String>,
@@ -60,7 +60,7 @@ impl<'a> Watch<'a> {
     /// One learner after the other; gives up when none has been reached for as long as `outage`.
     async fn until_the_end(mut self, outage: Duration) -> anyhow::Result<()> {
         // Once for each learner that has gone.
-        let mut told = None;
+        let mut reported = None;
         loop {
             let missing = match self.session().await {
                 Ok(RunEnd::Finished | RunEnd::StoppedByClient) => return Ok(()),
@@ -71,7 +71,7 @@ impl<'a> Watch<'a> {
             if self.reached.elapsed() >= outage {
                 return Err(missing);
             }
-            if told.replace(self.reached) != Some(self.reached) {
+            if reported.replace(self.reached) != Some(self.reached) {
                 let secs = outage.as_secs_f64();
                 tracing::warn!("{missing:#}; waiting up to {secs} s (--max-outage-secs)");
             }
@@ -207,8 +207,9 @@ mod tests {
         let found =
             EvaluationSummary { iteration: 5, mean: 45.0, standard_deviation: 1.25, episodes: 4 };
         let last = RunLine { evaluation: Some(found), end: Some(RunEnd::Finished), ..line() };
-        let told = "finished after iteration 7, 28,000 env steps  evaluation after 5: 45.0 ± 1.2";
-        assert_eq!(text(&last), told);
+        let expected =
+            "finished after iteration 7, 28,000 env steps  evaluation after 5: 45.0 ± 1.2";
+        assert_eq!(text(&last), expected);
         let before = RunLine { episode_return: None, ..line() };
         assert!(text(&before).ends_with("return -"));
     }

@@ -17,8 +17,7 @@ use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
-use crate::run::run_path;
-use crate::run::run_path::demand_run;
+use crate::run::run_path::{self, demand_run};
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
 const MOST_POINTS: usize = 100;

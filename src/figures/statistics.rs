@@ -49,7 +49,7 @@ pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
     }
 }
 
-/// The quartiles: the middle half of the values lies between them.
+/// The quartiles: the middle half of the values is between them.
 pub(crate) fn interquartile_range(values: &[f64]) -> Interval {
     Interval { low: quantile(values, 0.25), high: quantile(values, 0.75) }
 }

@@ -78,7 +78,7 @@ const LARGEST: f32 = 400.0;
 
 /// One frame's view.
 pub(super) struct Camera {
-    /// The x that stands in the middle, metres.
+    /// The x in the middle of the frame, metres.
     pub(super) middle: f32,
     /// Scale.
     pub(super) pixels_per_metre: f32,

@@ -10,7 +10,7 @@ use crate::figures::style::Rgb;
 
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
-/// A ball as root and two legs, each driven by an agent of its own.
+/// A ball as root and two legs, each driven by another agent.
 fn two_legs() -> (RobotShapes, Pose) {
     let capsule = Shape::Capsule { half_length: 0.3, radius: 0.1 };
     let shape = |link: &str, shape| LinkShape {

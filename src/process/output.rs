@@ -80,7 +80,7 @@ pub(crate) fn written(result: io::Result<()>) -> anyhow::Result<()> {
     }
 }
 
-/// Writes a line to stderr. Nothing can report that nobody reads it.
+/// Writes a line to stderr. A failure cannot be reported.
 pub(crate) fn error(text: impl Display) {
     let _unread = writeln!(io::stderr().lock(), "{text}");
 }
@@ -121,7 +121,7 @@ pub(crate) fn start_log(
             filter.unwrap_or_else(|| Targets::new().with_default(default))
         }
     };
-    // A line that nobody reads must not be reported on the same stderr, which would panic.
+    // A failed write to stderr must not be reported on the same stderr, which would panic.
     let lines = tracing_subscriber::fmt::layer().with_writer(|| AboveBars);
     let lines = lines.log_internal_errors(false);
     let lines = match format {

@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn only_a_leading_tilde_stands_for_the_home_folder() {
-        let told = |path: &str, home: Option<&str>| {
+        let expand = |path: &str, home: Option<&str>| {
             let found = expanded_for(Path::new(path), home.map(OsString::from));
             found.map(|path| path.display().to_string()).map_err(|error| error.to_string())
         };
@@ -91,9 +91,9 @@ mod tests {
             ("/~/a", "/~/a"),
             ("", ""),
         ] {
-            assert_eq!(told(path, Some("/h/me")).as_deref(), Ok(whole));
+            assert_eq!(expand(path, Some("/h/me")).as_deref(), Ok(whole));
         }
-        assert!(told("~you/a", Some("/h/me")).unwrap_err().contains("or ./~you/a for a folder"));
-        assert!(told("~/a", None).unwrap_err().contains("HOME is not set"));
+        assert!(expand("~you/a", Some("/h/me")).unwrap_err().contains("or ./~you/a for a folder"));
+        assert!(expand("~/a", None).unwrap_err().contains("HOME is not set"));
     }
 }

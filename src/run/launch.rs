@@ -69,7 +69,7 @@ pub(crate) struct Prepared {
     pub(crate) new: Option<NewFolder>,
 }
 
-/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder with a name of its own.
+/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder.
 /// `transport` limits the connection to an external environment.
 pub(crate) fn prepare(
     settings: &SettingsArguments,
