@@ -167,10 +167,10 @@ mod tests {
     }
 
     #[test]
-    fn the_readme_names_what_a_resume_may_change() {
-        let readme = include_str!("../../README.md");
+    fn the_document_of_commands_names_what_a_resume_may_change() {
+        let document = include_str!("../../docs/USING.md");
         for named in free_on_resume().split(", ") {
-            assert!(readme.contains(&format!("`{named}`")), "{named}");
+            assert!(document.contains(&format!("`{named}`")), "{named}");
         }
     }
 
