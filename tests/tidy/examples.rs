@@ -14,7 +14,7 @@ fn blocks(document: &str) -> Vec<String> {
 fn the_example_of_a_task_stands_word_for_word_in_the_simulator() {
     let files = ["sim/assets/hopper.xml", "sim/assets/hopper.toml"].map(read);
     let shown = blocks(&read("docs/ADDING_A_TASK.md"));
-    // The first block has the commands, which tests/own_task.rs runs.
+    // The first block has the commands, which tests/system/own_task.rs runs.
     let excerpts = shown.into_iter().skip(1).collect::<Vec<_>>();
     assert!(excerpts.len() >= 2);
     let lost: Vec<String> = excerpts
