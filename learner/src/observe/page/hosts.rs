@@ -5,16 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 /// Loopback names and the hosts that the user allows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Hosts(Vec<Host>);
-
-/// A host of a URL.
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum Host {
-    /// An IPv4 address that is mapped to IPv6 is the IPv4 address.
-    Address(IpAddr),
-    /// In lower case, without the dot at the end of an absolute name.
-    Name(String),
-}
+pub struct Hosts(Vec<String>);
 
 /// A text that is not a host.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -28,55 +19,46 @@ impl Hosts {
     /// If one of them is not a host.
     pub fn with(more: &[String]) -> Result<Self, NotAHost> {
         let host = |text: &String| {
-            let address = text.parse().ok().map(address);
-            address.or_else(|| Host::parse(text)).ok_or_else(|| NotAHost(text.clone()))
+            let address = text.parse().ok().map(spelled);
+            address.or_else(|| host(text)).ok_or_else(|| NotAHost(text.clone()))
         };
         more.iter().map(host).collect::<Result<_, _>>().map(Self)
     }
 
     /// Whether a `Host` header with this value is accepted, with any port.
     #[must_use]
-    pub fn allow(&self, host: &str) -> bool {
-        let Some(host) = Host::parse(host) else { return false };
-        let is_loopback = match &host {
-            Host::Address(address) => address.is_loopback(),
-            // RFC 6761, section 6.3.
-            Host::Name(name) => name == "localhost",
-        };
-        is_loopback || self.0.contains(&host)
+    pub fn allow(&self, header: &str) -> bool {
+        let Some(host) = host(header) else { return false };
+        let is_loopback = host.parse().is_ok_and(|address: IpAddr| address.is_loopback());
+        // RFC 6761, section 6.3, for the name.
+        is_loopback || host == "localhost" || self.0.contains(&host)
     }
 }
 
-impl Host {
-    /// Reads `uri-host [ ":" port ]` (RFC 9110, section 7.2). `None` for any other text.
-    fn parse(text: &str) -> Option<Self> {
-        let (host, port) = match text.strip_prefix('[') {
-            Some(rest) => {
-                let (inside, port) = rest.split_once(']')?;
-                (address(inside.parse::<Ipv6Addr>().ok()?.into()), port)
-            }
-            None => {
-                let name = text.split(':').next().unwrap_or_default();
-                (Self::of_name(name)?, &text[name.len()..])
-            }
-        };
-        let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
-        (port.is_empty() || port.strip_prefix(':').is_some_and(is_port)).then_some(host)
+/// The host in `uri-host [ ":" port ]` (RFC 9110, section 7.2), a name in lower case without the dot at its end. `None`
+/// for any other text.
+fn host(text: &str) -> Option<String> {
+    let (host, port) = match text.rsplit_once(':') {
+        // The colons of an address in brackets precede no port.
+        Some((host, port)) if !port.contains(']') => (host, port),
+        _ => (text, ""),
+    };
+    if !port.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
     }
-
-    fn of_name(text: &str) -> Option<Self> {
-        if let Ok(found) = text.parse::<Ipv4Addr>() {
-            return Some(address(found.into()));
-        }
-        let name = text.strip_suffix('.').unwrap_or(text).to_ascii_lowercase();
-        let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
-        let is_label = |label: &str| !label.is_empty() && label.bytes().all(is_plain);
-        name.split('.').all(is_label).then_some(Self::Name(name))
+    if let Some(inside) = host.strip_prefix('[') {
+        let address: Ipv6Addr = inside.strip_suffix(']')?.parse().ok()?;
+        return Some(spelled(address.into()));
     }
+    let absolute = host.strip_suffix('.').filter(|name| name.parse::<Ipv4Addr>().is_err());
+    let name = absolute.unwrap_or(host).to_ascii_lowercase();
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+    (!name.is_empty() && name.bytes().all(is_plain)).then_some(name)
 }
 
-fn address(address: IpAddr) -> Host {
-    Host::Address(address.to_canonical())
+/// The one spelling of an address. An IPv4 address that is mapped to IPv6 is the IPv4 address.
+fn spelled(address: IpAddr) -> String {
+    address.to_canonical().to_string()
 }
 
 #[cfg(test)]
