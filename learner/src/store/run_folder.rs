@@ -197,7 +197,7 @@ impl RunFolder {
         Ok(durable::replace(&self.file(ADDRESS), format!("{address}\n").as_bytes())?)
     }
 
-    /// Writes into the manifest, once and for good, that an actor without a fingerprint took part.
+    /// Records in the manifest that an actor without a fingerprint took part.
     ///
     /// # Errors
     /// Names the manifest if it cannot be read or written.
@@ -227,7 +227,7 @@ impl RunFolder {
         Ok(Some(address.trim().to_owned()))
     }
 
-    /// Refuses a folder in which a learner is at work. Nothing is claimed: this only says early what claiming it would.
+    /// Refuses a folder that a learner uses. Claims nothing: it only reports early what a claim would report.
     ///
     /// # Errors
     /// Names the folder and the learner's process, or a file that cannot be read.
@@ -281,7 +281,7 @@ impl RunFolder {
         let manifest = match self.manifest() {
             Ok(manifest) => manifest,
             Err(why) => {
-                // The checkpoint says too which settings it belongs to.
+                // The checkpoint has the hash of its settings, too.
                 tracing::warn!("{why}; the manifest is written again");
                 return Ok(());
             }

@@ -57,7 +57,7 @@ pub(crate) async fn serve(page: Page, view: Arc<RunView>) {
     accept(page.listener, page.tls, &checked(run_routes(view), page.hosts)).await;
 }
 
-/// Serves the curves of several runs on `page` until dropped. `look` returns what stands in their folders now; it runs
+/// Serves the curves of several runs on `page` until dropped. `look` reads their folders; it runs
 /// on a blocking thread.
 pub async fn serve_overlay(page: Page, look: impl Fn() -> Overlay + Send + Sync + 'static) {
     accept(page.listener, page.tls, &checked(overlay_routes(Arc::new(look)), page.hosts)).await;

@@ -65,8 +65,8 @@ pub fn is_checkpoint(path: &Path) -> bool {
 }
 
 /// Removes all but the newest `keep_last` up to `newest` and the multiples of `keep_every`, and drafts that
-/// a crash left. Checkpoints beyond `newest` were passed over as damaged; they stay until their iteration is
-/// written again.
+/// a crash left. Checkpoints beyond `newest` are damaged; they stay until their iteration is written
+/// again.
 pub(super) fn prune(
     folder: &Path,
     newest: u64,

@@ -47,7 +47,7 @@ pub struct FileEntry {
 }
 
 impl Manifest {
-    /// Describes a checkpoint that hashes to what `saved` says and whose files are `files`.
+    /// Describes a checkpoint with the hashes in `saved` and these files.
     pub(super) fn of(
         (checkpoint, saved): (&Checkpoint, &Saved),
         config_sha256: &str,
@@ -68,7 +68,7 @@ impl Manifest {
         manifest
     }
 
-    /// The manifest as it stands in its file.
+    /// The content of the manifest's file.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = serde_json::to_vec_pretty(self).expect("text keys and plain values");
         bytes.push(b'\n');
@@ -97,19 +97,6 @@ impl Manifest {
         }
     }
 
-    /// Compares the content with what the manifest says of it.
-    pub(super) fn verify(&self, checkpoint: &Checkpoint) -> Result<(), String> {
-        for (what, said, found) in [
-            ("weights", &self.weights_sha256, checkpoint.weights_sha256()),
-            ("state", &self.state_sha256, checkpoint.state_sha256()),
-        ] {
-            if *said != found {
-                return Err(format!("the {what} have SHA-256 {found}, manifest.json says {said}"));
-            }
-        }
-        Ok(())
-    }
-
     fn own_sha256(&self) -> String {
         let bare = Self { manifest_sha256: String::new(), ..self.clone() };
         hex(&Sha256::digest(bare.to_bytes()))
@@ -121,7 +108,7 @@ impl FileEntry {
         Self { size: bytes.len() as u64, sha256: hex(&Sha256::digest(bytes)) }
     }
 
-    /// Compares a file's bytes with what the manifest says of them.
+    /// Compares the hash of a file's bytes with the recorded one.
     pub(super) fn verify(&self, name: &str, bytes: &[u8]) -> Result<(), String> {
         let found = hex(&Sha256::digest(bytes));
         if found == self.sha256 {

@@ -1,26 +1,26 @@
-//! The steps on the way to a checkpoint that stands, so that each can be made to fail.
+//! The steps of writing a checkpoint, so that tests can let each of them fail.
 
 use std::io;
 use std::path::Path;
 
 use crate::durable::FileError;
 
-/// A step on the way to a checkpoint that stands, in order.
+/// A step of writing a checkpoint, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// The folder for its files is made, beside its place.
+    /// The draft's folder is made.
     MakeFolder,
     /// One of its files is written; the manifest is the last.
     WriteFile,
-    /// The disk is to have all of them.
+    /// The files are flushed to disk.
     FlushFiles,
     /// The folder is renamed to its place.
     Rename,
-    /// The disk is to have the new name.
+    /// The new name is flushed to disk.
     FlushName,
     /// `LATEST` is replaced.
     NameLatest,
-    /// What need not stay is removed.
+    /// Old checkpoints are removed.
     RemoveOld,
 }
 
@@ -35,21 +35,11 @@ impl Step {
         Self::NameLatest,
         Self::RemoveOld,
     ];
-
-    fn deed(self) -> &'static str {
-        match self {
-            Self::MakeFolder => "make",
-            Self::WriteFile => "write",
-            Self::FlushFiles | Self::FlushName => "flush",
-            Self::Rename | Self::NameLatest => "replace",
-            Self::RemoveOld => "clear",
-        }
-    }
 }
 
-/// Called before each step with the file or folder it is about; an error stands for one of the disk's.
+/// Called before each step with its file or folder; an error ends the attempt like one of the disk.
 pub type Before<'a> = dyn FnMut(Step, &Path) -> io::Result<()> + 'a;
 
 pub(super) fn about_to(before: &mut Before<'_>, step: Step, path: &Path) -> Result<(), FileError> {
-    before(step, path).map_err(FileError::of(step.deed(), path))
+    before(step, path).map_err(FileError::of("write", path))
 }
