@@ -8,9 +8,10 @@ use std::thread::{Builder, scope};
 use std::time::{Duration, Instant};
 
 use learner::assemble::assemble;
+use learner::check::Expected;
 use learner::environments::Environments;
 use learner::exchange::SlotRollout;
-use learner::slots::ConnectionId;
+use learner::slots::{ConnectionId, ResultPart};
 use learner::trainer::Outside;
 use learner::{Exchange, launch};
 use policy::PolicySnapshot;
@@ -185,9 +186,16 @@ fn perform(
     let send = |chunk: TrajectoryChunk| {
         let header = PushHeader::of(lease, chunk.digest(&origin));
         // The backup of a slot that another actor has finished is refused.
-        match exchange.accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk)) {
-            Ok(_) => ControlFlow::Continue(()),
-            Err(_) => ControlFlow::Break(()),
+        match exchange.expected(connection, &header, Some(chunk.sequence)) {
+            Ok(Expected::Next(check))
+                if check.chunk(&chunk, work, run, exchange.states()).is_ok()
+                    && exchange
+                        .take(connection, &header, &check, ResultPart::Chunk(chunk))
+                        .is_ok() =>
+            {
+                ControlFlow::Continue(())
+            }
+            _ => ControlFlow::Break(()),
         }
     };
     rollout::roll_out(run, work, &policy, world, |_| {}, send).expect("the lease is the learner's");

@@ -16,7 +16,7 @@ use std::time::Duration;
 use arbitrary::{Arbitrary, Unstructured};
 use cluster::Cluster;
 use events::{ACTORS, Event, MOST_IN_FLIGHT};
-use learner::slots::{ChunkPreview, ConnectionId, Effect, Offer, SlotTable, Trust};
+use learner::slots::{ConnectionId, Effect, Offer, Preview, ResultPart, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
     AckState, ActorId, Digest, EvaluationResult, Heartbeat, Incarnation, LeaseId, PolicyVersion,
@@ -175,7 +175,7 @@ impl Siege {
 
     fn open_next(&mut self) {
         self.iteration += 1;
-        self.table.open_iteration(self.iteration, weights(), works(self.iteration, SLOTS));
+        self.table.open_iteration(weights(), works(self.iteration, SLOTS));
     }
 
     fn lease_at(&self, at: u8) -> Option<&Held> {
@@ -186,12 +186,13 @@ impl Siege {
         let Some(lease) = self.lease_at(lease).cloned() else { return };
         let Work::Rollout(_) = lease.work else { return };
         let header = bent(PushHeader::of(&lease, honest(&lease, sequence)), lie);
-        let seen = self.table.preview_chunk(lease.connection, &header, sequence);
-        let taken = self.table.chunk(lease.connection, &header, chunk(&lease, sequence));
+        let seen = self.table.preview(lease.connection, &header, Some(sequence));
+        let taken =
+            self.table.take(lease.connection, &header, ResultPart::Chunk(chunk(&lease, sequence)));
         // What would be taken is taken, and the other way round.
         let seen = seen.map(|preview| match preview {
-            ChunkPreview::Next { .. } => AckState::Accepted,
-            ChunkPreview::Repeated(ack) => ack.state,
+            Preview::Next(_) => AckState::Accepted,
+            Preview::Repeated(ack) => ack.state,
         });
         assert_eq!(seen, taken.map(|ack| ack.state));
     }
@@ -200,7 +201,7 @@ impl Siege {
         let Some(lease) = self.lease_at(lease).cloned() else { return };
         let result = EvaluationResult { episode, extrinsic_return: 1.0, steps: 5 };
         let header = bent(PushHeader::of(&lease, result.digest(0)), lie);
-        let _taken = self.table.evaluation(lease.connection, &header, result);
+        let _taken = self.table.take(lease.connection, &header, ResultPart::Episode(result));
     }
 
     fn take_effects(&mut self) {

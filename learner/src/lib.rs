@@ -22,7 +22,7 @@ pub use error::LearnerError;
 pub use event::{Event, IterationReport, Stage};
 pub use exchange::Exchange;
 pub use launch::Launch;
-pub use lease::{canary, end_states, exchange, published, sample, slots};
+pub use lease::{canary, check, end_states, exchange, published, sample, slots};
 pub use listener::Listener;
 pub use observe::{event, metrics, page, snapshot};
 pub use page::{Hosts, NotAHost, OverlaidRun, Overlay, Page, serve_overlay};

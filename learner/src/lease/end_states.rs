@@ -5,8 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use proto::{
-    EnvironmentStart, EpisodePosition, Reason, Refusal, RolloutWork, RunDescription, Start,
-    TrajectoryChunk,
+    EpisodePosition, Reason, Refusal, RolloutWork, RunDescription, Start, TrajectoryChunk,
 };
 
 /// Decodes an encoded state; an error says why it is invalid.
@@ -43,20 +42,26 @@ impl StateReader {
     /// Checks that a state can be decoded and has this position.
     pub(crate) fn check(&self, state: &[u8], expected: EpisodePosition) -> Result<(), String> {
         let found = self.decode(state)?;
-        match found == expected {
-            true => Ok(()),
-            false => Err(format!("it is at {found}, its environment is at {expected}")),
+        if found != expected {
+            return Err(format!("it is at {found}, its environment is at {expected}"));
         }
+        Ok(())
     }
 
-    /// Checks the end states of a slot. `chunks` are all its chunks.
+    /// Checks the end states of a slot, whose environments went through `courses`.
     ///
     /// # Errors
     /// Refuses the first state that is invalid or at another position than its environment.
-    pub(crate) fn check_end(&self, slot: &SlotCourse, run: &RunDescription) -> Result<(), Refusal> {
-        for (i, (state, course)) in slot.states.iter().zip(&slot.courses).enumerate() {
-            let expected = self.position_after(course, run);
-            let checked = match expected {
+    pub(crate) fn check_end(
+        &self,
+        slot: &RolloutWork,
+        courses: &[Course],
+        states: &[Vec<u8>],
+        run: &RunDescription,
+    ) -> Result<(), Refusal> {
+        let environments = slot.environments.iter().zip(courses).zip(states);
+        for (i, ((start, course), state)) in environments.enumerate() {
+            let checked = match self.position_after(&start.start, *course, run) {
                 Some(expected) => self.check(state, expected),
                 None => self.decode(state).map(drop),
             };
@@ -67,9 +72,14 @@ impl StateReader {
         Ok(())
     }
 
-    /// EpisodePosition of an environment after a slot; `None` if its start state cannot be decoded.
-    fn position_after(&self, course: &Course, run: &RunDescription) -> Option<EpisodePosition> {
-        let start = match &course.start {
+    /// Position of an environment after a slot; `None` if its start state cannot be decoded.
+    fn position_after(
+        &self,
+        start: &Start,
+        course: Course,
+        run: &RunDescription,
+    ) -> Option<EpisodePosition> {
+        let start = match start {
             Start::Fresh { episode, limit } => {
                 EpisodePosition { episode: *episode, step: 0, limit: *limit }
             }
@@ -86,43 +96,24 @@ impl StateReader {
     }
 }
 
-/// The end states of a slot, and what happened to each of its environments.
-pub(crate) struct SlotCourse {
-    states: Vec<Vec<u8>>,
-    courses: Vec<Course>,
-}
-
-/// An environment in a slot.
-struct Course {
-    start: Start,
-    /// Episodes that ended in the slot.
+/// What happened to an environment since the start of its slot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Course {
+    /// Episodes that ended.
     ended: u64,
     /// Steps since the last of these, or since the start of the slot.
     steps: u32,
 }
 
-impl SlotCourse {
-    /// The course of a slot whose last chunk is `last`, which follows `before`; `None` if `last` has no end states.
-    pub(crate) fn new(
-        work: &RolloutWork,
-        before: &[TrajectoryChunk],
-        last: &TrajectoryChunk,
-    ) -> Option<Self> {
-        let states = last.end.as_ref()?.environments.clone();
-        let course =
-            |start: &EnvironmentStart| Course { start: start.start.clone(), ended: 0, steps: 0 };
-        let mut courses = work.environments.iter().map(course).collect::<Vec<_>>();
-        for chunk in before.iter().chain([last]) {
-            let flags = chunk.terminated.iter().zip(&chunk.truncated);
-            for (row, (terminated, truncated)) in flags.enumerate() {
-                let environment = row % courses.len();
-                let course = &mut courses[environment];
-                course.steps += 1;
-                if *terminated || *truncated {
-                    (course.ended, course.steps) = (course.ended + 1, 0);
-                }
-            }
+/// Continues the courses of a slot's environments with a chunk.
+pub(crate) fn follow(courses: &mut [Course], chunk: &TrajectoryChunk) {
+    let flags = chunk.terminated.iter().zip(&chunk.truncated);
+    let environments = (0..courses.len()).cycle();
+    for (environment, (terminated, truncated)) in environments.zip(flags) {
+        let course = &mut courses[environment];
+        course.steps += 1;
+        if *terminated || *truncated {
+            *course = Course { ended: course.ended + 1, steps: 0 };
         }
-        Some(Self { states, courses })
     }
 }

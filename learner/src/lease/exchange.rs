@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use proto::{
-    ActorId, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer, LeaseId, PolicyVersion, Reason,
-    Refusal, Registered, Registration, RolloutOrigin, RolloutWork, RunDescription, WeightsName,
+    ActorId, Heartbeat, HeartbeatAnswer, Incarnation, LeaseAnswer, PolicyVersion, Refusal,
+    Registered, Registration, RolloutWork, RunDescription, WeightsName,
 };
 use tokio::sync::{Notify, watch};
 
@@ -23,41 +23,21 @@ pub use crate::slots::{EvaluationOutcome, SlotRollout};
 pub use crate::snapshot::FilmedEpisode;
 use crate::snapshot::RunSnapshot;
 
-mod error;
 mod incidents;
 mod reporting;
 mod results;
+mod wake;
 mod weights;
 
-pub use error::ExchangeError;
 pub use incidents::Caller;
-use incidents::{Names, Notice, is_about_the_lease};
+use incidents::{Names, Notice};
 use reporting::Pace;
 pub use reporting::{Storage, status_json};
+pub use wake::{ExchangeError, Wake};
 use weights::Weights;
 
-/// What an actor that finds nothing to do is told to wait before it asks again.
+/// How long an actor that gets no work waits before it asks again.
 const RETRY: Duration = Duration::from_millis(100);
-
-/// Why the trainer woke up.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Wake {
-    /// The open iteration is complete.
-    Iteration {
-        /// Every slot, in order.
-        rollouts: Vec<SlotRollout>,
-        /// From the opening of its slots to the last chunk.
-        secs: f64,
-    },
-    /// An evaluation is complete.
-    Evaluation(EvaluationOutcome),
-    /// The start states of this slot cannot be used ([`Exchange::replace`]).
-    BeginAgain(RolloutOrigin),
-    /// The run cannot go on.
-    Failed(ExchangeError),
-    /// Nothing happened for as long as it was willing to wait.
-    Patience,
-}
 
 /// Connects the service to the trainer.
 #[derive(Debug)]
@@ -91,6 +71,8 @@ struct Shared {
     refusals: BTreeMap<String, u64>,
     chunks_accepted: u64,
     names: Names,
+    /// Lines of the log that are written once the lock is free.
+    notices: Vec<Notice>,
     pace: Pace,
 }
 
@@ -119,6 +101,7 @@ impl Exchange {
             refusals: BTreeMap::new(),
             chunks_accepted: 0,
             names: Names::default(),
+            notices: Vec::new(),
             pace: Pace::default(),
         };
         let snapshot = RunSnapshot::new(run.run_id.clone(), run.incarnation);
@@ -151,6 +134,12 @@ impl Exchange {
     #[must_use]
     pub fn run(&self) -> &RunDescription {
         &self.run
+    }
+
+    /// Decodes the states of the run's environments.
+    #[must_use]
+    pub fn states(&self) -> &StateReader {
+        &self.states
     }
 
     // What the trainer does.
@@ -190,7 +179,7 @@ impl Exchange {
         self.change(|shared| {
             let name = shared.weights.expect(weights);
             shared.pace.open(iteration, self.begun.elapsed());
-            shared.table.open_iteration(iteration, name, slots);
+            shared.table.open_iteration(name, slots);
             name
         })
     }
@@ -220,7 +209,7 @@ impl Exchange {
         shared.wakes.pop_front().unwrap_or(Wake::Patience)
     }
 
-    /// A failure that nobody has waited for: an audit may end after the last iteration.
+    /// A failure since the last wait: an audit may end after the last iteration.
     pub fn failure(&self) -> Option<ExchangeError> {
         let mut shared = self.lock();
         let at = shared.wakes.iter().position(|wake| matches!(wake, Wake::Failed(_)))?;
@@ -287,7 +276,7 @@ impl Exchange {
             // Registered before the table is asked, so that no wake is missed in between.
             let mut freed = std::pin::pin!(self.work.notified());
             freed.as_mut().enable();
-            // The deadline is read under the same lock: time may pass it in between, and nobody else is woken for it.
+            // The deadline is read under the same lock: time may pass it in between, and no wake follows.
             let (offer, deadline) = self.change(|shared| {
                 let offer = shared.table.lease(sender, actor, incarnation);
                 let idle = matches!(offer, Ok(Offer::Nothing));
@@ -329,20 +318,6 @@ impl Exchange {
         self.lock().weights.find(name)
     }
 
-    /// Logs and counts a refusal. If it was about a lease of the caller, the lease ends.
-    pub fn refused(&self, caller: &Caller, lease: Option<LeaseId>, refusal: &Refusal) {
-        self.tell_refusal(caller, lease, refusal);
-        self.change(|shared| {
-            *shared.refusals.entry(refusal.reason.name().to_owned()).or_default() += 1;
-            if let (Some(id), Reason::NotFinite) = (lease, refusal.reason) {
-                shared.table.diverged(caller.connection, id, &refusal.detail);
-            }
-            if is_about_the_lease(refusal) {
-                shared.table.refuse(caller.connection, lease);
-            }
-        });
-    }
-
     fn until(&self, deadline: Duration) -> Duration {
         // A millisecond more, so that the deadline has passed when the table is asked again.
         deadline.saturating_sub(self.begun.elapsed()) + Duration::from_millis(1)
@@ -376,12 +351,12 @@ impl Exchange {
         if !shared.wakes.is_empty() {
             self.trainer.notify_all();
         }
-        let incidents = shared.table.incidents();
-        let notices =
-            incidents.iter().map(|incident| shared.names.describe(incident)).collect::<Vec<_>>();
-        // Whoever reads the log may be slow; nobody else waits for that.
+        let Shared { table, names, notices, .. } = &mut *shared;
+        notices.extend(table.incidents().iter().map(|incident| names.describe(incident)));
+        let notices = std::mem::take(notices);
+        // The log may be slow, and no other task waits for that.
         drop(shared);
-        notices.iter().for_each(Notice::tell);
+        notices.iter().for_each(Notice::log);
         result
     }
 

@@ -13,21 +13,20 @@
 //! An actor whose leases expire gets no work for a while, as one whose messages are refused. While a process waits for
 //! work, no other one holds more than its share.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::{
-    ActorId, Heartbeat, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal, RolloutWork,
-    RunState, WeightsName,
+    ActorId, Heartbeat, Incarnation, Lease, LeaseId, LeaseStatus, ProcessId, Reason, Refusal,
+    RolloutWork, RunState, WeightsName, Work,
 };
 
 mod actors;
 mod audits;
 mod claims;
 mod disagreement;
-mod evaluations;
 mod failures;
 mod figures;
-mod iteration;
 mod leases;
 mod open;
 mod outcome;
@@ -35,21 +34,21 @@ mod processes;
 mod results;
 mod returned;
 mod typical;
+mod works;
 
 use actors::{Actors, Admission};
 pub use actors::{ConnectionId, Trust};
 pub use audits::AuditCounts;
 use audits::Audits;
-use claims::Claimed;
 pub use disagreement::{ComputedPart, Disagreement, Part};
-use evaluations::Evaluations;
 use failures::Failures;
-use iteration::OpenIteration;
+pub use leases::ResultPart;
 use leases::{Claim, Finished, OpenLease};
 use open::OpenLeases;
 pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
-pub use results::{ChunkPreview, EvaluationPreview};
-use typical::TypicalTime;
+pub use results::{Assignment, Preview};
+use typical::TypicalTimes;
+use works::{Group, Works};
 
 use crate::sample::SecretSample;
 
@@ -89,12 +88,10 @@ pub struct SlotTable {
     last_lease: u64,
     open: OpenLeases,
     finished: Finished,
-    iteration: Option<OpenIteration>,
-    evaluations: Evaluations,
+    works: BTreeMap<Group, Works>,
     audits: Audits,
     failures: Failures,
-    typical: TypicalTime,
-    typical_episode: TypicalTime,
+    times: TypicalTimes,
     reissued: u64,
     backups: u64,
     effects: Vec<Effect>,
@@ -113,12 +110,10 @@ impl SlotTable {
             last_lease: 0,
             open: OpenLeases::default(),
             finished: Finished::default(),
-            iteration: None,
-            evaluations: Evaluations::default(),
+            works: BTreeMap::new(),
             audits: Audits::new(rules.audit),
             failures: Failures::default(),
-            typical: TypicalTime::default(),
-            typical_episode: TypicalTime::default(),
+            times: TypicalTimes::default(),
             reissued: 0,
             backups: 0,
             effects: Vec::new(),
@@ -134,11 +129,9 @@ impl SlotTable {
         }
         let processes = &self.actors.processes;
         let hopeless = |process| processes.any_stalled() && processes.others_are_stalled(process);
-        let skipped = self.evaluations.skip_audits(self.now, hopeless);
-        if !skipped.is_empty() {
-            self.audits.counts.skipped += skipped.len() as u64;
-            skipped.into_iter().flatten().for_each(|id| self.expire(id));
-            self.end_evaluations();
+        for audit in self.audits.skip_overdue(self.now, hopeless) {
+            audit.holder.into_iter().for_each(|id| self.expire(id));
+            audit.wait.into_iter().for_each(|wait| self.hand_over(wait.group));
         }
     }
 
@@ -151,28 +144,18 @@ impl SlotTable {
         self.abandon(id);
     }
 
-    /// Hands over the evaluations that no longer wait for a result or an audit.
-    fn end_evaluations(&mut self) {
-        let complete = self.evaluations.take_complete();
-        self.effects.extend(complete.into_iter().map(Effect::Evaluation));
-    }
-
     /// When the next lease ends without a message, the next slot or episode may get a backup lease, or the table changes
     /// otherwise by time alone.
     #[must_use]
     pub fn next_deadline(&self) -> Option<Duration> {
-        let others = [
-            self.evaluations.first_skipped(),
+        let next = [
+            self.open.first_deadline(),
+            self.next_backup(),
+            self.audits.first_overdue(),
             self.actors.processes.first_released(self.now),
             self.failures.next_try(self.now, self.rules.ttl),
         ];
-        let backups = self.next_backup().into_iter().chain(self.next_episode_backup());
-        self.open
-            .first_deadline()
-            .into_iter()
-            .chain(backups)
-            .chain(others.into_iter().flatten())
-            .min()
+        next.into_iter().flatten().min()
     }
 
     /// What is to be done since the last call, in order.
@@ -186,34 +169,30 @@ impl SlotTable {
     }
 
     /// Opens an iteration; the slots that were open before are dropped, and their leases end.
-    pub fn open_iteration(
-        &mut self,
-        iteration: u64,
-        weights: WeightsName,
-        slots: Vec<RolloutWork>,
-    ) {
-        self.open.end(|lease| matches!(lease.claim, Claim::Slot(_)));
+    pub fn open_iteration(&mut self, weights: WeightsName, slots: Vec<RolloutWork>) {
+        let is_slot = |claim| matches!(claim, Claim::Result(key) if key.group == Group::Slots);
+        self.open.end(|lease| is_slot(lease.claim));
         self.failures.forget_slots();
-        self.iteration = Some(OpenIteration::new(iteration, weights, slots));
+        self.works.insert(Group::Slots, Works::slots(weights, slots));
         self.effects.push(Effect::WorkFreed);
     }
 
     /// Opens an evaluation beside other open work; its episodes are leased when no slot is free.
     pub fn open_evaluation(&mut self, iteration: u64, weights: WeightsName, episodes: u32) {
-        self.evaluations.open(iteration, weights, episodes);
+        let works = Works::episodes(iteration, weights, episodes);
+        self.works.insert(works.group(), works);
         self.effects.push(Effect::WorkFreed);
     }
 
     /// The weights that open work names.
     pub fn weights_in_use(&self) -> impl Iterator<Item = WeightsName> {
-        let rollouts = self.iteration.iter().map(|open| open.weights);
-        rollouts.chain(self.evaluations.weights()).chain(self.audits.weights())
+        self.works.values().map(Works::weights).chain(self.audits.weights())
     }
 
     /// The run is over: every later request for work is answered so.
     pub fn finish(&mut self) {
         self.over = true;
-        self.open.end(|lease| matches!(lease.claim, Claim::Audit { .. }));
+        self.open.end(|lease| lease.claim == Claim::Audit);
         self.audits.skip_all();
         self.effects.push(Effect::WorkFreed);
     }
@@ -285,7 +264,7 @@ impl SlotTable {
             Admission::Welcome => {}
         }
         let id = LeaseId(self.last_lease + 1);
-        let Some(Claimed { claim, weights, work, attempt }) = self.claim(id, owner) else {
+        let Some(claimed) = self.claim(id, owner) else {
             self.found_nothing(owner);
             return Ok(Offer::Nothing);
         };
@@ -293,13 +272,9 @@ impl SlotTable {
             self.effects.push(Effect::WorkFreed);
         }
         self.last_lease = id.0;
-        self.open.insert(id, OpenLease::new(owner, weights, claim, self.now, self.rules.ttl));
+        self.open.insert(id, OpenLease::new(owner, &claimed, self.now, self.rules.ttl));
+        let (weights, attempt, work) = (claimed.weights, claimed.attempt, (*claimed.work).clone());
         Ok(Offer::Lease(Lease { id, incarnation, weights, attempt, work }))
-    }
-
-    /// Environments of a slot of the open iteration.
-    fn slot_environments(&self) -> usize {
-        self.iteration.as_ref().map_or(0, OpenIteration::slot_environments)
     }
 
     /// An actor is alive. Whether its lease is still open.
@@ -314,9 +289,9 @@ impl SlotTable {
         let Some(lease) = self.open.get(beat.lease).filter(own) else {
             return Ok(false);
         };
-        let most = match lease.claim {
-            Claim::Episode(_) => self.rules.episode_steps,
-            Claim::Slot(_) | Claim::Audit { .. } => self.rules.steps_per_slot,
+        let most = match *lease.work {
+            Work::Evaluation(_) => self.rules.episode_steps,
+            Work::Rollout(_) => self.rules.steps_per_slot,
         };
         if beat.slot_step > most {
             let detail = format!("{}, the work has {most} steps", beat.slot_step);
@@ -327,34 +302,32 @@ impl SlotTable {
         Ok(true)
     }
 
-    /// A message from this connection was refused. If it was for a lease of the connection, the lease ends. The
-    /// refusal counts against the lease's actor, or else against all actors of the connection.
-    pub fn refuse(&mut self, sender: ConnectionId, lease: Option<LeaseId>) {
+    /// A message from this connection was refused. If it was for a lease of the connection, the lease ends and is returned.
+    /// The refusal counts against the lease's actor, or else against all actors of the connection.
+    pub fn refuse(&mut self, sender: ConnectionId, lease: Option<LeaseId>) -> Option<LeaseStatus> {
         let own = lease.and_then(|id| {
             let open = self.open.get(id).filter(|open| open.owner.connection == sender)?;
-            Some((id, open.owner.actor))
+            Some(open.status(id, self.now))
         });
-        let actors = own.map_or_else(|| self.actors.of(sender), |(_, actor)| vec![actor]);
+        let actors = own.map_or_else(|| self.actors.of(sender), |ended| vec![ended.actor]);
         for actor in actors {
             if let Some(pause) = self.actors.strike(actor, self.now) {
                 self.incidents.push(Incident::Quarantined { actor, pause });
             }
         }
-        if let Some((id, _)) = own {
-            self.abandon(id);
+        if let Some(ended) = own {
+            self.abandon(ended.lease);
         }
+        own
     }
 
     fn abandon(&mut self, id: LeaseId) {
-        let Some(lease) = self.open.remove(id) else {
-            return;
-        };
+        let Some(lease) = self.open.remove(id) else { return };
         match lease.claim {
-            Claim::Episode(work) => self.evaluations.release(work, id),
-            Claim::Audit { .. } => self.audits.release(id),
-            Claim::Slot(index) => {
-                if let Some(open) = &mut self.iteration {
-                    open.release(index, id, lease);
+            Claim::Audit => self.audits.release(id),
+            Claim::Result(key) => {
+                if let Some(works) = self.works.get_mut(&key.group) {
+                    works.release(key.index, id, lease);
                 }
             }
         }

@@ -114,7 +114,7 @@ fn an_audited_slot_is_recomputed_by_another_actor_and_counted_if_it_agrees() {
     let audit = lease(&mut table, b);
     assert_eq!((slot(&audit), audit.attempt), (0, 1));
     // The audit stays open in the next iteration.
-    table.open_iteration(1, weights(), works(1, 1));
+    table.open_iteration(weights(), works(1, 1));
     table.effects();
     assert_eq!(complete(&mut table, &audit), []);
     assert_eq!(table.counts().audits, audits(1, 0, 0));

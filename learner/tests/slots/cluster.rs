@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use learner::slots::{ConnectionId, Effect, Offer, SlotRollout, SlotTable, Trust};
+use learner::slots::{ConnectionId, Effect, Offer, ResultPart, SlotRollout, SlotTable, Trust};
 use proto::{
     ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, ProcessId, PushHeader, Reason,
     Refusal, Work,
@@ -207,7 +207,8 @@ impl Cluster {
             Message::Ask(asking) => self.offer(connection, asking, incarnation),
             Message::Chunk(lease, sequence) => {
                 let header = PushHeader::of(&lease, honest(&lease, sequence));
-                let accepted = self.table.chunk(connection, &header, chunk(&lease, sequence));
+                let part = ResultPart::Chunk(chunk(&lease, sequence));
+                let accepted = self.table.take(connection, &header, part);
                 let finished = accepted.as_ref().is_ok_and(|ack| ack.lease_finished);
                 self.answer(connection, &lease, accepted.map(|_| (sequence, finished)))
             }
@@ -216,7 +217,7 @@ impl Cluster {
                 let episode = work.episode;
                 let result = EvaluationResult { episode, extrinsic_return: 1.0, steps: 5 };
                 let header = PushHeader::of(&lease, result.digest(work.iteration));
-                let accepted = self.table.evaluation(connection, &header, result);
+                let accepted = self.table.take(connection, &header, ResultPart::Episode(result));
                 self.answer(connection, &lease, accepted.map(|_| (0, true)))
             }
             Message::Beat(beat) => match self.table.heartbeat(connection, &beat) {
@@ -276,7 +277,7 @@ impl Cluster {
     }
 
     fn open(&mut self) {
-        self.table.open_iteration(self.iteration, weights(), works(self.iteration, SLOTS));
+        self.table.open_iteration(weights(), works(self.iteration, SLOTS));
         // At most one evaluation is open at a time, as in the trainer.
         if self.evaluated.len() as u64 == self.iteration {
             self.table.open_evaluation(self.iteration, weights(), 1);

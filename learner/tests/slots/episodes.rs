@@ -63,7 +63,7 @@ fn an_old_audit_of_an_episode_comes_before_slots_and_is_skipped_in_the_end() {
     let (mut table, a, b) = episode();
     let first = lease(&mut table, a);
     play(&mut table, &first, 1.0).unwrap();
-    table.open_iteration(8, weights(), works(8, 2));
+    table.open_iteration(weights(), works(8, 2));
     assert_eq!(slot(&lease(&mut table, b)), 0);
     table.tick(TTL);
     let audit = lease(&mut table, b);
@@ -100,7 +100,7 @@ fn a_slow_episode_gets_a_backup_whatever_steps_its_actor_claims() {
 #[test]
 fn an_actor_without_a_fingerprint_gets_no_work_where_one_is_required() {
     let mut table = SlotTable::new(SlotRules { requires_fingerprint: true, ..rules(INCARNATION) });
-    table.open_iteration(0, weights(), works(0, 1));
+    table.open_iteration(weights(), works(0, 1));
     let connection = ConnectionId(1);
     let foreign = Actor { connection, id: table.register(connection, Trust::Foreign, None) };
     let refusal = foreign.ask(&mut table).unwrap_err();
@@ -125,7 +125,7 @@ fn an_evaluation_does_not_wait_for_the_audit_of_a_process_that_never_asks_for_wo
 fn an_audit_is_skipped_once_all_other_processes_lose_their_work() {
     let (mut table, a, hoarder) = episode();
     let first = lease(&mut table, a);
-    table.open_iteration(8, weights(), works(8, 3));
+    table.open_iteration(weights(), works(8, 3));
     (0..3).for_each(|_| drop(lease(&mut table, hoarder)));
     table.tick(TTL - TTL / 10);
     assert!(beat(&mut table, a, &first, 1));

@@ -160,11 +160,7 @@ impl Cluster {
                         );
                     }
                     self.iteration += 1;
-                    self.table.open_iteration(
-                        self.iteration,
-                        weights(),
-                        works(self.iteration, SLOTS),
-                    );
+                    self.table.open_iteration(weights(), works(self.iteration, SLOTS));
                 }
                 other => panic!("unexpected with correct actors: {other:?}"),
             }

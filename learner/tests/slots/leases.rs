@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use learner::slots::{ConnectionId, Effect, Offer};
-use proto::{ActorId, EvaluationResult, Heartbeat, Incarnation, PushHeader, Reason, Work};
+use proto::{ActorId, Heartbeat, Incarnation, Reason, Work};
 
 use crate::table::{
-    Actor, Held, INCARNATION, TTL, actor, complete, lease, push, slot, table, weights, works,
+    Actor, Held, INCARNATION, TTL, actor, complete, lease, play, push, slot, table, weights, works,
 };
 
 fn second(count: u64) -> Duration {
@@ -35,9 +35,7 @@ fn evaluations_are_leased_when_no_slot_is_free_and_end_after_their_last_episode(
     for (i, lease) in episodes.iter().enumerate().rev() {
         let Work::Evaluation(work) = lease.work else { panic!("{lease:?}") };
         assert_eq!((work.iteration, work.episode), (7, i as u32));
-        let result = EvaluationResult { episode: i as u32, extrinsic_return: i as f64, steps: 5 };
-        let header = PushHeader::of(lease, result.digest(work.iteration));
-        assert!(table.evaluation(lease.connection, &header, result).unwrap().lease_finished);
+        assert!(play(&mut table, lease, i as f64).unwrap().lease_finished);
     }
     let [Effect::Evaluation(outcome)] = &table.effects()[..] else { panic!("no outcome") };
     let returns = outcome.episodes.iter().map(|episode| episode.extrinsic_return);
@@ -160,7 +158,7 @@ fn leases_of_an_iteration_end_when_the_next_one_opens() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let old = lease(&mut table, a);
-    table.open_iteration(1, weights(), works(1, 1));
+    table.open_iteration(weights(), works(1, 1));
     assert_eq!(push(&mut table, &old, 0).unwrap_err().reason, Reason::UnknownLease);
     let lease = lease_of(&mut table, a);
     assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));

@@ -44,7 +44,7 @@ fn continued() -> RolloutWork {
 #[test]
 fn a_slot_whose_start_state_two_actors_cannot_restore_waits_for_another_start() {
     let mut table = table(1);
-    table.open_iteration(1, weights(), vec![continued()]);
+    table.open_iteration(weights(), vec![continued()]);
     let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
     let held = lease(&mut table, one);
     assert_eq!(give_back(&mut table, (one, &held), LeaseFailure::StartState), []);
@@ -87,7 +87,7 @@ fn failures_are_forgotten_when_the_work_is_done() {
     let mut table = table(1);
     let own = actor(&mut table, 1);
     for iteration in 0..3 {
-        table.open_iteration(iteration, weights(), works(iteration, 1));
+        table.open_iteration(weights(), works(iteration, 1));
         for _ in 0..4 {
             let held = lease(&mut table, own);
             assert_eq!(give_back(&mut table, (own, &held), LeaseFailure::Environment), []);

@@ -51,7 +51,7 @@ fn one_waits() -> (SlotTable, Actor, Actor) {
     let (greedy, other) = (actor_of(&mut table, 1, 1), actor_of(&mut table, 2, 2));
     (0..4).for_each(|_| drop(lease(&mut table, greedy)));
     assert_eq!(other.ask(&mut table), Ok(Offer::Nothing));
-    table.open_iteration(1, weights(), works(1, 4));
+    table.open_iteration(weights(), works(1, 4));
     (table, greedy, other)
 }
 
@@ -91,7 +91,7 @@ fn a_process_whose_slots_others_finish_comes_last_and_is_backed_up_at_once() {
         complete(&mut table, &backup);
     }
     assert_eq!(honest.ask(&mut table), Ok(Offer::Nothing));
-    table.open_iteration(1, weights(), works(1, 3));
+    table.open_iteration(weights(), works(1, 3));
     assert_eq!(hoarder.ask(&mut table), Ok(Offer::Nothing), "another one waits");
     let first = lease(&mut table, honest);
     assert_eq!((slot(&first), slot(&lease(&mut table, hoarder))), (0, 1));
@@ -113,7 +113,7 @@ fn a_slow_actor_that_sends_chunks_loses_nothing_when_others_finish_its_slots() {
         let backup = lease(&mut table, quick);
         complete(&mut table, &backup);
     }
-    table.open_iteration(1, weights(), works(1, 2));
+    table.open_iteration(weights(), works(1, 2));
     assert_eq!(slot(&lease(&mut table, slow)), 0);
     assert_eq!(slot(&lease(&mut table, slow)), 1);
 }

@@ -4,7 +4,7 @@ use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
 use learner::sample::SecretSample;
-use learner::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
+use learner::slots::{ConnectionId, Effect, Offer, ResultPart, SlotRules, SlotTable, Trust};
 use proto::{
     Ack, ActorId, Digest, EnvironmentStart, EvaluationResult, Heartbeat, Incarnation, Lease,
     PolicyVersion, ProcessId, PushHeader, Refusal, RolloutWork, Start, TrajectoryChunk,
@@ -60,7 +60,7 @@ pub(crate) fn audited_table(slots: u32) -> SlotTable {
 }
 
 fn open(mut table: SlotTable, slots: u32) -> SlotTable {
-    table.open_iteration(0, weights(), works(0, slots));
+    table.open_iteration(weights(), works(0, slots));
     table.effects();
     table
 }
@@ -158,7 +158,8 @@ pub(crate) fn push_as(
     sequence: u32,
     digest: Digest,
 ) -> Result<Ack, Refusal> {
-    table.chunk(lease.connection, &PushHeader::of(lease, digest), chunk(lease, sequence))
+    let part = ResultPart::Chunk(chunk(lease, sequence));
+    table.take(lease.connection, &PushHeader::of(lease, digest), part)
 }
 
 /// Pushes all chunks correctly and returns the table's effects.
@@ -178,7 +179,7 @@ pub(crate) fn play(
     let Work::Evaluation(work) = lease.work else { panic!("expected an episode, got {lease:?}") };
     let result = EvaluationResult { episode: work.episode, extrinsic_return, steps: 5 };
     let header = PushHeader::of(lease, result.digest(work.iteration));
-    table.evaluation(lease.connection, &header, result)
+    table.take(lease.connection, &header, ResultPart::Episode(result))
 }
 
 /// Says that the lease's work goes on, at this step.

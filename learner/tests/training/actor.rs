@@ -7,9 +7,13 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use learner::Exchange;
-use learner::slots::ConnectionId;
+use learner::check::Expected;
+use learner::slots::{ConnectionId, ResultPart};
 use policy::PolicySnapshot;
-use proto::{Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Registration, RunDescription, Work};
+use proto::{
+    Ack, Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Refusal, Registration, RunDescription,
+    TrajectoryChunk, Work,
+};
 
 use crate::toy;
 
@@ -78,10 +82,7 @@ fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, 
         Work::Rollout(work) => {
             for chunk in toy::roll_out(run, &policy, work) {
                 let header = PushHeader::of(lease, chunk.digest(&work.origin()));
-                if exchange
-                    .accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk))
-                    .is_err()
-                {
+                if push(exchange, connection, &header, chunk).is_err() {
                     return;
                 }
             }
@@ -89,7 +90,25 @@ fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, 
         Work::Evaluation(work) => {
             let result = toy::evaluate(run, &policy, work);
             let header = PushHeader::of(lease, result.digest(work.iteration));
-            let _late = exchange.accept_evaluation(connection, &header, |_| Ok(result));
+            if let Ok(Expected::Next(check)) = exchange.expected(connection, &header, None) {
+                let _late = exchange.take(connection, &header, &check, ResultPart::Episode(result));
+            }
         }
     }
+}
+
+/// Checks and takes in a chunk of a slot, as the service does.
+pub(crate) fn push(
+    exchange: &Exchange,
+    connection: ConnectionId,
+    header: &PushHeader,
+    chunk: TrajectoryChunk,
+) -> Result<Ack, Refusal> {
+    let check = match exchange.expected(connection, header, Some(chunk.sequence))? {
+        Expected::Repeated(ack) => return Ok(ack),
+        Expected::Next(check) => check,
+    };
+    let Work::Rollout(slot) = &*check.assignment.work else { panic!("{check:?} is of an episode") };
+    check.chunk(&chunk, slot, exchange.run(), exchange.states())?;
+    exchange.take(connection, header, &check, ResultPart::Chunk(chunk))
 }

@@ -13,7 +13,7 @@ use proto::{
     RolloutOrigin, RolloutWork, RunDescription, Start, TrajectoryChunk,
 };
 
-use crate::actor::registration;
+use crate::actor::{push, registration};
 use crate::settings::launch_in;
 use crate::toy;
 
@@ -135,7 +135,7 @@ fn send(exchange: &Exchange, connection: u64, chunk: TrajectoryChunk) -> Option<
     let own = exchange.register(connection, &registration(exchange.run())).unwrap();
     let lease = lease(exchange, connection, own);
     let header = PushHeader::of(&lease, chunk.digest(&origin()));
-    let refusal = exchange.accept_chunk(connection, &header, 0, |_| Ok(chunk)).err()?;
+    let refusal = push(exchange, connection, &header, chunk).err()?;
     let caller = Caller { connection, peer: None, call: "push" };
     exchange.refused(&caller, Some(lease.id), &refusal);
     Some(refusal)

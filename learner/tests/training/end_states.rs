@@ -9,7 +9,7 @@ use proto::{
     TrajectoryChunk,
 };
 
-use crate::actor::registration;
+use crate::actor::{push, registration};
 use crate::settings::{launch_in, resumed};
 use crate::{toy, train};
 
@@ -43,7 +43,7 @@ fn answer(change: impl Fn(&mut TrajectoryChunk)) -> Option<Refusal> {
     let mut answer = None;
     for chunk in chunks {
         let header = PushHeader::of(&lease, chunk.digest(&work.origin()));
-        answer = exchange.accept_chunk(connection, &header, chunk.sequence, |_| Ok(chunk)).err();
+        answer = push(&exchange, connection, &header, chunk).err();
     }
     answer
 }

@@ -1,22 +1,21 @@
-//! What goes wrong with actors, each in one line of the log: who it was, what they were at, and what happens next.
+//! Incidents and refusals, each in one line of the log: the actor or peer, its work, and the consequence.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::net::SocketAddr;
 
-use proto::{ActorId, LeaseFailure, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal};
+use proto::{ActorId, LeaseFailure, LeaseStatus, LeasedWork, Refusal};
 
-use crate::exchange::Exchange;
 use crate::slots::{ConnectionId, Incident};
 
-/// Who made a call, and which: for the log.
+/// The peer of a call, and the call, for the log.
 #[derive(Clone, Copy, Debug)]
 pub struct Caller {
     /// The connection that the call came over.
     pub connection: ConnectionId,
-    /// The other end of the connection; none where there is no socket.
+    /// The other end of the connection; `None` where there is no socket.
     pub peer: Option<SocketAddr>,
-    /// What was asked for, such as `register`.
+    /// The name of the call, such as `register`.
     pub call: &'static str,
 }
 
@@ -29,7 +28,7 @@ impl fmt::Display for Caller {
     }
 }
 
-/// How registered actors call themselves, and which actors sent the states of environments.
+/// Names of registered actors, and the senders of the environments' states.
 #[derive(Debug, Default)]
 pub(super) struct Names {
     actors: BTreeMap<ActorId, String>,
@@ -48,7 +47,7 @@ impl Names {
         self.senders.extend(environments.iter().map(|environment| (*environment, name.clone())));
     }
 
-    /// Who sent the start states of these environments.
+    /// The senders of the start states of these environments.
     fn senders(&self, environments: &[u32]) -> String {
         let of =
             |environment| self.senders.get(environment).map_or("the checkpoint", String::as_str);
@@ -56,7 +55,7 @@ impl Names {
         names.into_iter().collect::<Vec<_>>().join(", ")
     }
 
-    /// What the incident is in words; an actor that is gone loses its name.
+    /// The line for an incident. The name of an actor that is gone is forgotten.
     pub(super) fn describe(&mut self, incident: &Incident) -> Notice {
         match incident {
             Incident::Gone { actor, leases } => {
@@ -101,6 +100,25 @@ impl Names {
         }
     }
 
+    /// The line for a refusal, which `ended` a lease.
+    pub(super) fn refusal(
+        &self,
+        caller: &Caller,
+        refusal: &Refusal,
+        ended: Option<&LeaseStatus>,
+    ) -> Notice {
+        let Refusal { reason, field, detail } = refusal;
+        let next = match ended {
+            Some(lease) => {
+                let who = self.call(lease.actor);
+                format!("{who} was {}; the lease ends, {FREE}", at(lease))
+            }
+            None => "no lease is touched".to_owned(),
+        };
+        let line = format!("{caller} is refused: {detail}; {next}");
+        Notice::Refused { reason: reason.name(), field: field.clone(), line }
+    }
+
     pub(super) fn call(&self, actor: ActorId) -> String {
         match self.actors.get(&actor) {
             Some(name) => format!("actor {actor} ({name})"),
@@ -111,20 +129,23 @@ impl Names {
 
 const FREE: &str = "its work is free again, from the first step";
 
-/// A line, and how much it matters.
+/// A line of the log, by its level.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Notice {
     /// Nothing is lost.
     Usual(String),
-    /// Work is.
+    /// Work is lost.
     Loss(String),
+    /// A refusal, whose reason and field are fields of the line.
+    Refused { reason: &'static str, field: String, line: String },
 }
 
 impl Notice {
-    pub(super) fn tell(&self) {
+    pub(super) fn log(&self) {
         match self {
             Self::Usual(line) => tracing::info!("{line}"),
             Self::Loss(line) => tracing::warn!("{line}"),
+            Self::Refused { reason, field, line } => tracing::warn!(reason, %field, "{line}"),
         }
     }
 }
@@ -151,30 +172,11 @@ pub(super) fn work(work: LeasedWork) -> String {
     }
 }
 
-/// What a lease did before it ended, or under another learner, cannot end it again.
-pub(super) fn is_about_the_lease(refusal: &Refusal) -> bool {
-    !matches!(refusal.reason, Reason::UnknownLease | Reason::OtherIncarnation)
-}
-
-impl Exchange {
-    /// One line for a refusal, before its consequences are told.
-    pub(super) fn tell_refusal(&self, caller: &Caller, lease: Option<LeaseId>, why: &Refusal) {
-        let stood = lease.and_then(|id| self.lock().table.lease_of(caller.connection, id));
-        let (reason, field) = (why.reason.name(), &why.field);
-        let next = match stood {
-            Some(lease) if is_about_the_lease(why) => {
-                let who = self.lock().names.call(lease.actor);
-                format!("{who} was {}; the lease ends, {FREE}", at(&lease))
-            }
-            _ => "no lease is touched".to_owned(),
-        };
-        tracing::warn!(reason, %field, "{caller} is refused: {}; {next}", why.detail);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::time::Duration;
+
+    use proto::LeaseId;
 
     use super::*;
 

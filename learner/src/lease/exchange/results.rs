@@ -1,13 +1,11 @@
-//! Results of actors: decoded and checked without the lock, then taken in.
+//! What actors send for their leases: results, returned leases, and refused messages.
 
-use proto::{
-    Ack, AckState, EvaluationResult, LeaseId, PushHeader, Reason, Refusal, ReturnedLease,
-    RolloutOrigin, TrajectoryChunk,
-};
+use proto::{Ack, AckState, LeaseId, PushHeader, Reason, Refusal, ReturnedLease, Work};
 
-use super::Exchange;
-use crate::canary::{self, Extent};
-use crate::slots::{ChunkPreview, ConnectionId, EvaluationPreview, Trust};
+use super::{Caller, Exchange};
+use crate::canary::Extent;
+use crate::check::{Check, Expected};
+use crate::slots::{ConnectionId, Preview, ResultPart};
 
 impl Exchange {
     /// Whether an actor of this connection holds a lease.
@@ -22,46 +20,6 @@ impl Exchange {
         self.lock().table.is_registered(connection)
     }
 
-    /// Takes in a chunk, which `read` decodes and checks as one of the slot that it is given. Runs the policies over
-    /// all or the first of its steps, so it belongs on a thread that may block.
-    ///
-    /// # Errors
-    /// Refuses what [`crate::slots::SlotTable::preview_chunk`] and `read` refuse, a chunk that the lease's weights
-    /// do not explain, and end states that cannot be decoded or do not continue the slot's episodes.
-    pub fn accept_chunk(
-        &self,
-        sender: ConnectionId,
-        header: &PushHeader,
-        sequence: u32,
-        read: impl FnOnce(&RolloutOrigin) -> Result<TrajectoryChunk, Refusal>,
-    ) -> Result<Ack, Refusal> {
-        let preview = self.change(|shared| shared.table.preview_chunk(sender, header, sequence))?;
-        let (origin, trust) = match preview {
-            ChunkPreview::Repeated(ack) => return Ok(ack),
-            ChunkPreview::Next { origin, trust } => (origin, trust),
-        };
-        // Not under the lock: this takes milliseconds.
-        let chunk = read(&origin)?;
-        let published = self.lock().weights.find(header.weights)?;
-        let drawn = (trust == Trust::Exact).then_some(&origin);
-        let extent = self.extent(header.lease, sequence);
-        canary::check(&published.policy, &self.run, &chunk, drawn, extent)?;
-        let course = self.lock().table.course(header.lease, &chunk);
-        course.map_or(Ok(()), |course| self.states.check_end(&course, &self.run))?;
-        self.change(|shared| {
-            // An audit has no environments of its own: its end states are only compared. Only the last chunk has some.
-            let lease = shared.table.lease_of(sender, header.lease).filter(|_| chunk.end.is_some());
-            let ended =
-                lease.map(|lease| (lease.actor, shared.table.environments_of(header.lease)));
-            let ack = shared.table.chunk(sender, header, chunk)?;
-            shared.chunks_accepted += u64::from(ack.state == AckState::Accepted);
-            if let Some((actor, environments)) = ended.filter(|_| ack.lease_finished) {
-                shared.names.note_sender(actor, &environments);
-            }
-            Ok(ack)
-        })
-    }
-
     /// An actor returns a lease that it cannot process.
     ///
     /// # Errors
@@ -70,32 +28,73 @@ impl Exchange {
         self.change(|shared| shared.table.give_back(sender, returned))
     }
 
-    /// How much of a chunk is checked: all of it if the secret sample covers it, or if any actor has failed a check since
-    /// this start. A suspect could otherwise register again.
-    fn extent(&self, lease: LeaseId, sequence: u32) -> Extent {
-        let failed = self.lock().refusals.contains_key(Reason::CanaryMismatch.name());
-        match failed || self.checked.covers([lease.0, sequence.into()]) {
-            true => Extent::Chunk,
-            false => Extent::FirstStep,
-        }
-    }
-
-    /// Takes in the result of an evaluation episode, which `read` checks as one of the iteration that it is given.
+    /// What a part of a result under `header` is checked against: chunk `sequence` of a slot, or, with `None`, the result of
+    /// an episode. An acknowledgement if it was taken in before.
     ///
     /// # Errors
-    /// See [`crate::slots::SlotTable::evaluation`].
-    pub fn accept_evaluation(
+    /// What [`SlotTable::preview`] refuses, and weights that are not held.
+    pub fn expected(
         &self,
         sender: ConnectionId,
         header: &PushHeader,
-        read: impl FnOnce(u64) -> Result<EvaluationResult, Refusal>,
-    ) -> Result<Ack, Refusal> {
-        match self.change(|shared| shared.table.preview_evaluation(sender, header))? {
-            EvaluationPreview::Repeated(ack) => Ok(ack),
-            EvaluationPreview::Next(work) => {
-                let result = read(work.iteration)?;
-                self.change(|shared| shared.table.evaluation(sender, header, result))
+        sequence: Option<u32>,
+    ) -> Result<Expected, Refusal> {
+        self.change(|shared| match shared.table.preview(sender, header, sequence)? {
+            Preview::Repeated(ack) => Ok(Expected::Repeated(ack)),
+            Preview::Next(assignment) => {
+                let weights = shared.weights.find(header.weights)?;
+                // A suspect could register again, so one failed check counts for all actors.
+                let failed = shared.refusals.contains_key(Reason::CanaryMismatch.name());
+                let key = [header.lease.0, sequence.unwrap_or(0).into()];
+                let whole = failed || self.checked.covers(key);
+                let extent = if whole { Extent::Chunk } else { Extent::FirstStep };
+                Ok(Expected::Next(Check { assignment, weights, extent }))
             }
-        }
+        })
+    }
+
+    /// Takes in a part of a result that `check` has passed.
+    ///
+    /// # Errors
+    /// What [`SlotTable::preview`] refuses: the lease may have ended meanwhile.
+    pub fn take(
+        &self,
+        sender: ConnectionId,
+        header: &PushHeader,
+        check: &Check,
+        part: ResultPart,
+    ) -> Result<Ack, Refusal> {
+        self.change(|shared| {
+            let is_chunk = part.sequence().is_some();
+            let ack = shared.table.take(sender, header, part)?;
+            shared.chunks_accepted += u64::from(is_chunk && ack.state == AckState::Accepted);
+            let Check { assignment, .. } = check;
+            if let Work::Rollout(slot) = &*assignment.work
+                && ack.lease_finished
+                && assignment.courses.is_some()
+            {
+                shared.names.note_sender(assignment.actor, &slot.origin().environments);
+            }
+            Ok(ack)
+        })
+    }
+
+    /// Logs and counts a refusal. If it was about a lease of the caller, the lease ends.
+    pub fn refused(&self, caller: &Caller, lease: Option<LeaseId>, refusal: &Refusal) {
+        // What a lease did before it ended, or under another learner, cannot end it again.
+        let is_about_the_lease =
+            !matches!(refusal.reason, Reason::UnknownLease | Reason::OtherIncarnation);
+        self.change(|shared| {
+            *shared.refusals.entry(refusal.reason.name().to_owned()).or_default() += 1;
+            if let (Some(id), Reason::NotFinite) = (lease, refusal.reason) {
+                shared.table.diverged(caller.connection, id, &refusal.detail);
+            }
+            let ended = if is_about_the_lease {
+                shared.table.refuse(caller.connection, lease)
+            } else {
+                None
+            };
+            shared.notices.push(shared.names.refusal(caller, refusal, ended.as_ref()));
+        });
     }
 }

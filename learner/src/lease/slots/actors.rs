@@ -30,13 +30,6 @@ pub(super) struct Owner {
     pub(super) trust: Trust,
 }
 
-impl Owner {
-    /// Whether both actors belong to one process; its results do not confirm each other.
-    pub(super) fn shares_process(&self, other: &Self) -> bool {
-        self.process == other.process
-    }
-}
-
 /// The process of an actor: the same for all actors of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Process {

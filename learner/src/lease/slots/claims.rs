@@ -2,26 +2,15 @@
 
 use std::time::Duration;
 
-use proto::{EvaluationWork, LeaseId, Reason, Refusal, RolloutWork, WeightsName, Work};
+use proto::{LeaseId, Reason, Refusal};
 
 use super::actors::Owner;
-use super::evaluations::ClaimedEpisode;
-use super::failures::Key;
-use super::iteration::{ClaimedSlot, HeldLease, OpenIteration};
-use super::leases::Claim;
+use super::leases::Claimed;
+use super::works::{HeldLease, Key, Works};
 use super::{Effect, SlotTable, Trust};
 
 /// The time that a second lease has doubles this many times at most.
 const MOST_DOUBLINGS: u32 = 6;
-
-/// What a new lease is for.
-pub(super) struct Claimed {
-    pub(super) claim: Claim,
-    pub(super) weights: WeightsName,
-    pub(super) work: Work,
-    /// How often the work was leased before.
-    pub(super) attempt: u32,
-}
 
 impl SlotTable {
     /// Refuses an actor whose results no audit can compare, if the run requires that.
@@ -38,19 +27,19 @@ impl SlotTable {
         let may_audit =
             owner.trust == Trust::Exact && !self.actors.processes.is_stalled(owner.process);
         // An evaluation waits for its audits, so old ones come first.
-        if may_audit && let Some(before) = self.now.checked_sub(self.rules.ttl) {
-            let audit = self.evaluations.claim_audit(id, owner, before);
-            if audit.is_some() {
-                return audit.map(Claimed::episode);
-            }
+        if may_audit
+            && let Some(latest) = self.now.checked_sub(self.rules.ttl)
+            && let Some(audit) = self.audits.claim_late(id, owner, latest)
+        {
+            return Some(audit);
         }
         let may_hold_more = self.may_hold_more(owner);
         if may_hold_more && let Some(claimed) = self.claim_free(id, owner) {
             self.reissued += u64::from(claimed.attempt > 0);
             return Some(claimed);
         }
-        if may_audit && let Some(claimed) = self.claim_audit(id, owner) {
-            return Some(claimed);
+        if may_audit && let Some(audit) = self.audits.claim(id, owner) {
+            return Some(audit);
         }
         let backup = if may_hold_more { self.claim_backup(id, owner) } else { None };
         self.backups += u64::from(backup.is_some());
@@ -62,36 +51,21 @@ impl SlotTable {
         let (failures, processes) = (&self.failures, &self.actors.processes);
         let (now, least) = ((self.now, self.rules.ttl), self.rules.least_trust());
         let may_try = |key| failures.may_try(key, owner.process, processes.registered(least), now);
-        if let Some(open) = &mut self.iteration
-            && let Some(slot) = open.claim(id, self.now, |index| may_try(Key::Slot(index)))
-        {
-            return Some(Claimed::slot(slot, open.weights));
-        }
-        let may_play = |work: EvaluationWork| may_try(Key::episode(work));
-        self.evaluations.claim(id, self.now, may_play).map(Claimed::episode)
-    }
-
-    fn claim_audit(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        if let Some(episode) = self.evaluations.claim_audit(id, owner, self.now) {
-            return Some(Claimed::episode(episode));
-        }
-        self.audits.claim(id, owner).map(|(work, weights)| Claimed::audit(work, weights))
+        self.works.values_mut().find_map(|works| works.claim(id, self.now, may_try))
     }
 
     /// A backup of a slow slot, or of one that only stalled processes hold, else of such an episode. If there is one
     /// already that is slow too and shows nothing, it is replaced.
     fn claim_backup(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        let (slot_age, episode_age) = (self.backup_age(), self.episode_age());
-        let (now, leases, processes) = (self.now, &self.open, &self.actors.processes);
-        let holder = |held: &HeldLease| leases.get(held.id).map(|lease| lease.owner);
+        let (now, ttl) = (self.now, self.rules.ttl);
+        let (leases, processes, failures) = (&self.open, &self.actors.processes, &self.failures);
+        let holder = |held: &HeldLease| leases.get(held.id).map(|lease| lease.owner.process);
         let of_another =
-            |held: &HeldLease| holder(held).is_some_and(|other| !other.shares_process(&owner));
-        let of_stalled = |held: &HeldLease| {
-            holder(held).is_some_and(|other| processes.is_stalled(other.process))
-        };
+            |held: &HeldLease| holder(held).is_some_and(|other| other != owner.process);
+        let of_stalled =
+            |held: &HeldLease| holder(held).is_some_and(|other| processes.is_stalled(other));
         let shows_nothing =
             |held: &HeldLease| leases.get(held.id).is_some_and(|lease| lease.digests.is_empty());
-        let (failures, ttl) = (&self.failures, self.rules.ttl);
         let suits = |key: Key, held: &[HeldLease], issued: u32, age: Duration| {
             let (since, patience) = match held {
                 [only] => (only.since, age),
@@ -102,19 +76,10 @@ impl SlotTable {
                 && held.iter().all(of_another)
                 && (since + patience <= now || held.iter().all(of_stalled))
         };
-        let since = if processes.any_stalled() { Some(now) } else { now.checked_sub(slot_age) };
-        let slot = since.zip(self.iteration.as_mut()).and_then(|(since, open)| {
-            let suits =
-                |index, held: &[HeldLease], issued| suits(Key::Slot(index), held, issued, slot_age);
-            let (slot, replaced) = open.claim_backup(id, since, now, suits)?;
-            Some((Claimed::slot(slot, open.weights), replaced))
-        });
-        let (claimed, replaced) = slot.or_else(|| {
-            let suits = |work: EvaluationWork, held: &[HeldLease], issued| {
-                suits(Key::episode(work), held, issued, episode_age)
-            };
-            let (episode, replaced) = self.evaluations.claim_backup(id, now, suits)?;
-            Some((Claimed::episode(episode), replaced))
+        let (claimed, replaced) = self.works.values_mut().find_map(|works| {
+            let age = self.times.backup_age(works).unwrap_or(ttl);
+            let since = if processes.any_stalled() { now } else { now.checked_sub(age)? };
+            works.claim_backup(id, since, now, |key, held, issued| suits(key, held, issued, age))
         })?;
         if let Some(replaced) = replaced.and_then(|replaced| self.open.remove(replaced)) {
             self.actors.processes.lost(replaced.owner.process);
@@ -136,9 +101,9 @@ impl SlotTable {
             (0, true) => 1,
             (_, true) => 0,
             (_, false) => {
-                let missing = |open: &OpenIteration| open.slots() - open.complete_slots();
-                let slots = self.iteration.as_ref().map_or(0, missing);
-                (slots + self.evaluations.missing()).div_ceil(self.open.holders() + waiting)
+                let missing = self.works.values().map(Works::missing).sum::<usize>();
+                let missing = missing + self.audits.waits().count();
+                missing.div_ceil(self.open.holders() + waiting)
             }
         };
         if held >= share && waiting > 0 && self.is_any_free() {
@@ -148,7 +113,7 @@ impl SlotTable {
     }
 
     fn is_any_free(&self) -> bool {
-        self.iteration.as_ref().is_some_and(OpenIteration::any_free) || self.evaluations.any_free()
+        self.works.values().any(Works::any_free)
     }
 
     /// There was nothing for this actor. Its process waits for work if it holds none, unless it may not try the free work
@@ -165,28 +130,13 @@ impl SlotTable {
         }
     }
 
-    /// A slot that is held for longer than this may get a backup lease.
-    pub(super) fn backup_age(&self) -> Duration {
-        self.typical.backup_age(self.slot_environments()).unwrap_or(self.rules.ttl)
-    }
-
-    /// An episode that is held for longer than this may get a backup lease.
-    pub(super) fn episode_age(&self) -> Duration {
-        self.typical_episode.backup_age(1).unwrap_or(self.rules.ttl)
-    }
-
-    /// When the next slot may get a backup lease.
+    /// When the next slot or episode may get a backup lease.
     pub(super) fn next_backup(&self) -> Option<Duration> {
-        let age = self.backup_age();
-        let young = |open: &OpenIteration| open.first_held_after(self.now.checked_sub(age));
-        self.iteration.as_ref().and_then(young).map(|since| since + age)
-    }
-
-    /// When the next episode may get a backup lease.
-    pub(super) fn next_episode_backup(&self) -> Option<Duration> {
-        let age = self.episode_age();
-        let at = self.evaluations.latest_begins().map(|since| since + age);
-        at.filter(|at| *at > self.now).min()
+        let next = self.works.values().filter_map(|works| {
+            let age = self.times.backup_age(works).unwrap_or(self.rules.ttl);
+            works.first_held_after(self.now.checked_sub(age)).map(|since| since + age)
+        });
+        next.min()
     }
 }
 
@@ -194,24 +144,4 @@ impl SlotTable {
 /// needs more than `age` gets its time.
 fn patience(age: Duration, issued: u32) -> Duration {
     age * 2_u32.pow(issued.saturating_sub(2).min(MOST_DOUBLINGS))
-}
-
-impl Claimed {
-    fn slot(slot: ClaimedSlot, weights: WeightsName) -> Self {
-        let ClaimedSlot { index, work, attempt } = slot;
-        Self { claim: Claim::Slot(index), weights, work: Work::Rollout(work), attempt }
-    }
-
-    fn episode((work, weights, attempt): ClaimedEpisode) -> Self {
-        Self { claim: Claim::Episode(work), weights, work: Work::Evaluation(work), attempt }
-    }
-
-    fn audit(work: RolloutWork, weights: WeightsName) -> Self {
-        Self {
-            claim: Claim::Audit { slot: work.slot },
-            weights,
-            work: Work::Rollout(work),
-            attempt: 1,
-        }
-    }
 }

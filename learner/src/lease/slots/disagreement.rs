@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use proto::{ActorId, Digest, LeaseId};
+use proto::{ActorId, Digest, LeaseId, Work};
+
+use super::works::iteration;
 
 /// The digest of a chunk or of an episode's result, and who computed it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +42,38 @@ pub struct Disagreement {
     pub first: ComputedPart,
     /// The later one.
     pub second: ComputedPart,
+}
+
+/// The digests of a result, from its first part on, and who computed it.
+#[derive(Clone, Debug)]
+pub(super) struct Computed {
+    pub(super) actor: ActorId,
+    pub(super) lease: LeaseId,
+    pub(super) digests: Vec<Digest>,
+}
+
+impl Computed {
+    /// The first part that both have, with different digests.
+    pub(super) fn first_difference(&self, other: &Self) -> Option<usize> {
+        self.digests.iter().zip(&other.digests).position(|(one, other)| one != other)
+    }
+
+    fn part(&self, at: usize) -> ComputedPart {
+        ComputedPart { actor: self.actor, lease: self.lease, digest: self.digests[at] }
+    }
+}
+
+impl Disagreement {
+    /// The first difference of two results of `work`, if there is one.
+    pub(super) fn between(work: &Work, first: &Computed, second: &Computed) -> Option<Self> {
+        let at = first.first_difference(second)?;
+        let part = match work {
+            Work::Rollout(slot) => Part::Chunk { slot: slot.slot, sequence: at as u32 },
+            Work::Evaluation(episode) => Part::Episode(episode.episode),
+        };
+        let (first, second) = (first.part(at), second.part(at));
+        Some(Self { iteration: iteration(work), part, first, second })
+    }
 }
 
 impl fmt::Display for Disagreement {

@@ -6,10 +6,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use proto::{EvaluationWork, LeaseFailure};
+use proto::LeaseFailure;
 
 use super::actors::Process;
-use super::leases::Claim;
+use super::works::{Group, Key};
 
 /// Leases of a slot with invalid start states after which it begins new episodes.
 const MOST_START_STATES: u32 = 2;
@@ -23,15 +23,6 @@ const MOST_PROCESSES: usize = 64;
 /// Failed work of the open iteration and of open evaluations.
 #[derive(Debug, Default)]
 pub(super) struct Failures(BTreeMap<Key, Failed>);
-
-/// Work that can fail. The result of an audit is not needed, so a failed audit is skipped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Key {
-    /// The slot at this index of the open iteration.
-    Slot(usize),
-    /// An episode of the evaluation of an iteration.
-    Episode(u64, u32),
-}
 
 /// What happens to failed work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,21 +54,6 @@ struct Failed {
     last: Duration,
     /// The trainer replaces the work, or the run ends: it is not leased.
     decided: bool,
-}
-
-impl Key {
-    /// The work of a lease; `None` for an audit.
-    pub(super) fn of(claim: Claim) -> Option<Self> {
-        match claim {
-            Claim::Slot(index) => Some(Self::Slot(index)),
-            Claim::Episode(work) => Some(Self::episode(work)),
-            Claim::Audit { .. } => None,
-        }
-    }
-
-    pub(super) fn episode(work: EvaluationWork) -> Self {
-        Self::Episode(work.iteration, work.episode)
-    }
 }
 
 impl Failures {
@@ -155,7 +131,7 @@ impl Failures {
 
     /// Another iteration has been opened.
     pub(super) fn forget_slots(&mut self) {
-        self.0.retain(|key, _| !matches!(key, Key::Slot(_)));
+        self.0.retain(|key, _| key.group != Group::Slots);
     }
 }
 
@@ -184,7 +160,7 @@ mod tests {
     use super::*;
 
     const TTL: Duration = Duration::from_secs(20);
-    const SLOT: Key = Key::Slot(3);
+    const SLOT: Key = Key { group: Group::Slots, index: 3 };
 
     fn process(number: u8) -> Process {
         Process::Named(ProcessId([number; 16]))

@@ -1,42 +1,43 @@
 //! Figures of the slot table: progress, open leases, memory.
 
-use proto::{LeaseId, LeaseStatus};
+use proto::LeaseStatus;
 
-use super::iteration::{HeldLease, OpenIteration};
+use super::works::{Group, HeldLease, Works};
 use super::{ConnectionId, Counts, Footprint, SlotTable};
 
 impl SlotTable {
     /// The table's figures.
     #[must_use]
     pub fn counts(&self) -> Counts {
-        let held = self.iteration.iter().flat_map(OpenIteration::held);
         let chunks =
             |held: &HeldLease| self.open.get(held.id).map_or(0, |lease| lease.chunks.len() as u64);
-        let partial = held.map(|leases| leases.iter().map(chunks).max().unwrap_or(0)).sum::<u64>();
-        let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
+        let most = |leases: &[HeldLease]| leases.iter().map(chunks).max().unwrap_or(0);
+        let slots = self.works.get(&Group::Slots);
+        let partial = slots.map_or(0, |slots| slots.held().map(most).sum());
         Counts {
-            chunks: partial + complete,
+            chunks: partial + slots.map_or(0, Works::complete_chunks),
             actors: self.actors.count(),
             foreign: self.actors.foreign,
             reissued: self.reissued,
             backups: self.backups,
             audits: self.audits.counts,
             leases: self.open.len(),
-            held_slots: self.iteration.iter().flat_map(OpenIteration::held).count(),
-            slot_time: self.typical.for_each_environment(),
-            slots: self.iteration.as_ref().map_or(0, OpenIteration::slots),
-            environments: self.iteration.as_ref().map_or(0, OpenIteration::environments),
-            environments_per_slot: self.slot_environments(),
-            complete_slots: self.iteration.as_ref().map_or(0, OpenIteration::complete_slots),
+            held_slots: slots.map_or(0, |slots| slots.held().count()),
+            slot_time: self.times.for_each_environment(),
+            slots: slots.map_or(0, Works::len),
+            environments: slots.map_or(0, Works::environments),
+            environments_per_slot: slots.map_or(0, Works::item_environments),
+            complete_slots: slots.map_or(0, Works::complete_items),
         }
     }
 
     /// Registered actors that may get work.
     #[must_use]
     pub fn actors(&self) -> usize {
-        match self.rules.requires_fingerprint {
-            true => self.actors.count_exact(),
-            false => self.actors.count(),
+        if self.rules.requires_fingerprint {
+            self.actors.count_exact()
+        } else {
+            self.actors.count()
         }
     }
 
@@ -44,13 +45,6 @@ impl SlotTable {
     #[must_use]
     pub fn leases(&self) -> Vec<LeaseStatus> {
         self.open.iter().map(|(id, lease)| lease.status(id, self.now)).collect()
-    }
-
-    /// The open lease with this id, if it belongs to an actor of this connection.
-    #[must_use]
-    pub fn lease_of(&self, connection: ConnectionId, id: LeaseId) -> Option<LeaseStatus> {
-        let own = self.open.get(id).filter(|lease| lease.owner.connection == connection);
-        own.map(|lease| lease.status(id, self.now))
     }
 
     /// Whether an actor of this connection holds a lease.
@@ -64,14 +58,14 @@ impl SlotTable {
     #[must_use]
     pub fn footprint(&self) -> Footprint {
         let partial = self.open.iter().map(|(_, lease)| lease.chunks.len() as u64).sum::<u64>();
-        let complete = self.iteration.as_ref().map_or(0, OpenIteration::complete_chunks);
+        let slots = self.works.get(&Group::Slots);
         Footprint {
             actors: self.actors.count(),
             open_leases: self.open.len(),
             finished_leases: self.finished.count(),
-            chunks: partial + complete,
-            earlier_results: self.iteration.as_ref().map_or(0, OpenIteration::earlier_results),
-            open_audits: self.audits.open(),
+            chunks: partial + slots.map_or(0, Works::complete_chunks),
+            earlier_results: slots.map_or(0, Works::earlier_results),
+            open_audits: self.audits.open_slots(),
         }
     }
 }

@@ -1,14 +1,17 @@
-//! Leases: the open ones with the chunks received under them, and the digests of finished ones.
+//! Leases: what one is for, the parts of the result received under it, and the digests of finished ones.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use proto::{
-    AckState, Digest, EvaluationWork, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal,
-    TrajectoryChunk, WeightsName,
+    Digest, EvaluationResult, LeaseId, LeaseStatus, LeasedWork, Reason, Refusal, TrajectoryChunk,
+    WeightsName, Work,
 };
 
 use super::actors::Owner;
+use super::works::{Key, environments};
+use crate::end_states::{Course, follow};
 
 /// A lease without progress for this many times to live is no longer extended by heartbeats.
 const PATIENCE_IN_TTLS: u32 = 6;
@@ -17,18 +20,43 @@ const MOST_AGE_IN_TTLS: u32 = 90;
 /// Finished leases whose results are recognised when they are sent again after a lost acknowledgement.
 const MOST_FINISHED: usize = 4096;
 
-/// What a lease is for.
+/// A part of the result of a lease.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ResultPart {
+    /// A chunk of a slot.
+    Chunk(TrajectoryChunk),
+    /// The whole result of an evaluation episode.
+    Episode(EvaluationResult),
+}
+
+impl ResultPart {
+    /// The place of a chunk in its slot; `None` for an episode.
+    #[must_use]
+    pub fn sequence(&self) -> Option<u32> {
+        match self {
+            Self::Chunk(chunk) => Some(chunk.sequence),
+            Self::Episode(_) => None,
+        }
+    }
+}
+
+/// What the result of a lease is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Claim {
-    /// The slot at this index of the open iteration.
-    Slot(usize),
-    /// A slot of this or an earlier iteration, computed again to compare the digests.
-    Audit {
-        /// The slot's number.
-        slot: u32,
-    },
-    /// An evaluation episode.
-    Episode(EvaluationWork),
+    /// The result of this slot or episode.
+    Result(Key),
+    /// The comparison with a result that was accepted, maybe in an earlier iteration.
+    Audit,
+}
+
+/// What a new lease is for.
+#[derive(Debug)]
+pub(super) struct Claimed {
+    pub(super) claim: Claim,
+    pub(super) weights: WeightsName,
+    pub(super) work: Arc<Work>,
+    /// How often the work was leased before.
+    pub(super) attempt: u32,
 }
 
 /// An open lease.
@@ -37,37 +65,30 @@ pub(super) struct OpenLease {
     pub(super) owner: Owner,
     pub(super) weights: WeightsName,
     pub(super) claim: Claim,
+    pub(super) work: Arc<Work>,
     pub(super) deadline: Duration,
     pub(super) digests: Vec<Digest>,
     pub(super) chunks: Vec<TrajectoryChunk>,
+    pub(super) episode: Option<EvaluationResult>,
+    /// What happened to each environment of a slot in the chunks so far.
+    pub(super) courses: Vec<Course>,
     pub(super) begun: Duration,
     step: u32,
     progress: Duration,
 }
 
-/// State of the lease that a message names.
-pub(super) enum LeaseState<'a> {
-    /// It is open.
-    Open(&'a OpenLease),
-    /// Its result is complete and has these digests.
-    Finished(&'a [Digest]),
-}
-
 impl OpenLease {
-    pub(super) fn new(
-        owner: Owner,
-        weights: WeightsName,
-        claim: Claim,
-        now: Duration,
-        ttl: Duration,
-    ) -> Self {
+    pub(super) fn new(owner: Owner, claimed: &Claimed, now: Duration, ttl: Duration) -> Self {
         Self {
             owner,
-            weights,
-            claim,
+            weights: claimed.weights,
+            claim: claimed.claim,
+            work: Arc::clone(&claimed.work),
             deadline: now + ttl,
             digests: Vec::new(),
             chunks: Vec::new(),
+            episode: None,
+            courses: vec![Course::default(); environments(&claimed.work)],
             begun: now,
             step: 0,
             progress: now,
@@ -77,7 +98,7 @@ impl OpenLease {
     /// A heartbeat: extends the lease unless it made no progress for long, or is too old. Only accepted chunks are
     /// progress of a slot; an episode has none, so its steps count.
     pub(super) fn beat(&mut self, step: u32, now: Duration, ttl: Duration) {
-        if matches!(self.claim, Claim::Episode(_)) && step > self.step {
+        if matches!(*self.work, Work::Evaluation(_)) && step > self.step {
             self.step = step;
             self.progress = now;
         }
@@ -94,27 +115,32 @@ impl OpenLease {
         LeaseStatus {
             lease,
             actor: self.owner.actor,
-            work: match self.claim {
-                Claim::Slot(index) => LeasedWork::Slot(index as u32),
-                Claim::Audit { slot } => LeasedWork::Slot(slot),
-                Claim::Episode(work) => LeasedWork::Episode(work.episode),
+            work: match &*self.work {
+                Work::Rollout(slot) => LeasedWork::Slot(slot.slot),
+                Work::Evaluation(episode) => LeasedWork::Episode(episode.episode),
             },
             chunks: self.digests.len() as u32,
             still_secs: (now - self.progress).as_secs_f64(),
         }
     }
 
-    /// Takes in the next chunk. An audit needs only its digest.
+    /// Takes in the next part of the result. An audit needs only its digest.
     pub(super) fn accept(
         &mut self,
         digest: Digest,
-        chunk: TrajectoryChunk,
+        part: ResultPart,
         now: Duration,
         ttl: Duration,
     ) {
         self.digests.push(digest);
-        if matches!(self.claim, Claim::Slot(_)) {
-            self.chunks.push(chunk);
+        if self.claim != Claim::Audit {
+            match part {
+                ResultPart::Chunk(chunk) => {
+                    follow(&mut self.courses, &chunk);
+                    self.chunks.push(chunk);
+                }
+                ResultPart::Episode(result) => self.episode = Some(result),
+            }
         }
         self.progress = now;
         self.extend(now, ttl);
@@ -155,39 +181,4 @@ impl Finished {
     pub(super) fn digests(&self, id: LeaseId) -> Option<&[Digest]> {
         self.0.get(&id).map(Vec::as_slice)
     }
-}
-
-/// How chunk `sequence` of an open lease would be taken in, which has given `digests` so far.
-pub(super) fn follows(
-    digests: &[Digest],
-    sequence: u32,
-    digest: Digest,
-) -> Result<AckState, Refusal> {
-    if (sequence as usize) < digests.len() {
-        return repeated(digests, sequence, digest).map(|()| AckState::Repeated);
-    }
-    if sequence as usize == digests.len() {
-        return Ok(AckState::Accepted);
-    }
-    let detail = format!("{sequence}, the next one of this lease is {}", digests.len());
-    Err(Refusal::new(Reason::OutOfOrder, "chunk.sequence", detail))
-}
-
-/// Whether chunk `sequence` is equal to the one that was given before.
-pub(super) fn repeated(digests: &[Digest], sequence: u32, digest: Digest) -> Result<(), Refusal> {
-    match digests.get(sequence as usize) {
-        Some(held) if *held == digest => Ok(()),
-        Some(held) => {
-            let detail = format!("{digest}, the accepted one is {held}");
-            Err(Refusal::new(Reason::DigestConflict, "digest", detail))
-        }
-        None => {
-            let detail = format!("{sequence}, the lease is complete with {}", digests.len());
-            Err(Refusal::new(Reason::OutOfOrder, "chunk.sequence", detail))
-        }
-    }
-}
-
-pub(super) fn wrong_kind(found: &str, leased: &str) -> Refusal {
-    Refusal::new(Reason::BadValue, "content", format!("{found}, but the lease is for {leased}"))
 }

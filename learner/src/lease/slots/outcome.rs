@@ -67,7 +67,7 @@ pub enum Effect {
     },
 }
 
-/// What went wrong with an actor's work, for whoever tells people.
+/// What went wrong with an actor's work, for the log.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Incident {
     /// The actor's connection closed, or had no more room for it.

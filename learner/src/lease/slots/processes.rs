@@ -19,8 +19,7 @@ const SILENCE: Duration = Duration::from_secs(60);
 pub(super) struct Processes {
     known: BTreeMap<Process, Known>,
     waiting: BTreeMap<Process, Waiting>,
-    /// How many of the processes have exact actors, and how many are stalled.
-    exact: usize,
+    /// How many of the processes are stalled.
     stalled: usize,
 }
 
@@ -48,19 +47,13 @@ impl Processes {
         let known = self.known.entry(process).or_default();
         known.actors += 1;
         known.seen = now;
-        if trust == Trust::Exact {
-            self.exact += usize::from(known.exact == 0);
-            known.exact += 1;
-        }
+        known.exact += usize::from(trust == Trust::Exact);
     }
 
     pub(super) fn leave(&mut self, process: Process, trust: Trust) {
         let Some(known) = self.known.get_mut(&process) else { return };
         known.actors -= 1;
-        if trust == Trust::Exact {
-            known.exact -= 1;
-            self.exact -= usize::from(known.exact == 0);
-        }
+        known.exact -= usize::from(trust == Trust::Exact);
         if known.actors == 0 {
             self.stalled -= usize::from(known.lost >= STALLED);
             self.known.remove(&process);
@@ -72,11 +65,6 @@ impl Processes {
     pub(super) fn registered(&self, least: Trust) -> impl Iterator<Item = Process> {
         let suits = move |known: &Known| least == Trust::Foreign || known.exact > 0;
         self.known.iter().filter(move |(_, known)| suits(known)).map(|(process, _)| *process)
-    }
-
-    /// Whether two or more processes have exact actors.
-    pub(super) fn can_audit(&self) -> bool {
-        self.exact >= 2
     }
 
     /// Whether the exact actors of another process may soon audit what `process` computed: one that is not stalled, and

@@ -1,270 +1,92 @@
-//! Results of leases: whether they are taken in, and what happens when one is complete.
+//! Results of leases: whether a part is taken in, and what happens when a result is complete.
 
-use proto::{
-    Ack, AckState, EvaluationResult, EvaluationWork, LeaseId, PushHeader, Reason, Refusal,
-    RolloutOrigin, RolloutWork, TrajectoryChunk,
-};
+use std::sync::Arc;
+use std::time::Duration;
 
-use super::evaluations::{EpisodeAudit, Played, Verdict};
-use super::failures::Key;
-use super::iteration::Completion;
-use super::leases::{Claim, LeaseState, OpenLease, follows, repeated, wrong_kind};
+use proto::{Ack, AckState, ActorId, Digest, LeaseId, PushHeader, Reason, Refusal, Work};
+
+use super::actors::Owner;
+use super::audits::{Audit, Wait};
+use super::disagreement::Computed;
+use super::leases::{Claim, OpenLease, ResultPart};
+use super::works::{Completion, Group, Key};
 use super::{ConnectionId, Effect, SlotTable, Trust};
+use crate::end_states::Course;
 
 /// An evaluation waits this many times to live for the audit of an episode, or three times the episode's own time if that is
 /// longer. After one, the audit comes before all other work.
 const AUDIT_IN_TTLS: u32 = 3;
 
-/// What would happen to a chunk.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ChunkPreview {
+/// What would happen to a part of a result.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Preview {
     /// It, or an equal one, was taken in before: its acknowledgement was lost.
     Repeated(Ack),
     /// It is the next one of its lease.
-    Next {
-        /// The slot that the lease is for; its digest covers this.
-        origin: RolloutOrigin,
-        /// Whether its random draws can be checked.
-        trust: Trust,
-    },
+    Next(Assignment),
 }
 
-/// What would happen to the result of an evaluation episode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EvaluationPreview {
-    /// It was taken in before.
-    Repeated(Ack),
-    /// It is the result of this episode.
-    Next(EvaluationWork),
+/// What the next part of a lease's result must fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Assignment {
+    /// The actor that holds the lease.
+    pub actor: ActorId,
+    /// Whether its random draws can be checked.
+    pub trust: Trust,
+    /// The work; the digests of chunks cover its origin.
+    pub work: Arc<Work>,
+    /// What happened so far to each environment of the slot whose end states count; `None` for an audit, whose end states
+    /// are only compared.
+    pub courses: Option<Vec<Course>>,
 }
 
 impl SlotTable {
-    /// Whether chunk `sequence` under `header` would be taken in, before its content is looked at.
+    /// Whether a part of a result under `header` would be taken in, before its content is looked at: chunk `sequence` of a
+    /// slot, or, with `None`, the result of an episode.
     ///
     /// # Errors
     /// Refuses, in this order: another incarnation, a lease that ended or never was, another connection than the
     /// lease's, other weights than the lease's, work of another kind, a chunk that does not follow the last one, and a
-    /// chunk that repeats an earlier one with another digest.
-    pub fn preview_chunk(
+    /// part that repeats an earlier one with another digest.
+    pub fn preview(
         &self,
         sender: ConnectionId,
         header: &PushHeader,
-        sequence: u32,
-    ) -> Result<ChunkPreview, Refusal> {
-        let repeats = |lease_finished| {
+        sequence: Option<u32>,
+    ) -> Result<Preview, Refusal> {
+        let number = sequence.unwrap_or(0);
+        let repeated = |lease_finished| {
             let (lease, state) = (header.lease, AckState::Repeated);
-            ChunkPreview::Repeated(Ack { lease, sequence, state, lease_finished })
+            Preview::Repeated(Ack { lease, sequence: number, state, lease_finished })
         };
-        let lease = match self.lease_state(sender, header)? {
-            LeaseState::Open(lease) => lease,
-            LeaseState::Finished(digests) => {
-                return repeated(digests, sequence, header.digest).map(|()| repeats(true));
-            }
-        };
-        let Some(work) = self.rollout_work(header.lease, lease.claim) else {
-            return Err(wrong_kind("chunk", "an evaluation"));
-        };
-        Ok(match follows(&lease.digests, sequence, header.digest)? {
-            AckState::Accepted => {
-                ChunkPreview::Next { origin: work.origin(), trust: lease.owner.trust }
-            }
-            AckState::Repeated => repeats(false),
-        })
-    }
-
-    /// The slot that a lease computes.
-    fn rollout_work(&self, id: LeaseId, claim: Claim) -> Option<&RolloutWork> {
-        match claim {
-            Claim::Slot(index) => self.iteration.as_ref().map(|open| open.work(index)),
-            Claim::Audit { .. } => self.audits.work(id),
-            Claim::Episode(_) => None,
-        }
-    }
-
-    /// Takes in a chunk that has been checked.
-    ///
-    /// # Errors
-    /// What [`Self::preview_chunk`] refuses.
-    pub fn chunk(
-        &mut self,
-        sender: ConnectionId,
-        header: &PushHeader,
-        chunk: TrajectoryChunk,
-    ) -> Result<Ack, Refusal> {
-        let sequence = chunk.sequence;
-        if let ChunkPreview::Repeated(ack) = self.preview_chunk(sender, header, sequence)? {
-            return Ok(ack);
-        }
-        let mut lease_finished = false;
-        let (now, ttl, digest) = (self.now, self.rules.ttl, header.digest);
-        let accept = |lease: &mut OpenLease| {
-            lease.accept(digest, chunk, now, ttl);
-            lease.digests.len() as u64
-        };
-        if let Some(taken) = self.open.change(header.lease, accept) {
-            lease_finished = taken == u64::from(self.rules.chunks_per_slot);
-        }
-        if lease_finished {
-            self.complete_rollout(header.lease);
-        }
-        let (lease, state) = (header.lease, AckState::Accepted);
-        Ok(Ack { lease, sequence, state, lease_finished })
-    }
-
-    fn complete_rollout(&mut self, id: LeaseId) {
-        let Some(lease) = self.open.remove(id) else { return };
-        self.finished.remember(id, lease.digests.clone());
-        self.actors.finished(lease.owner);
-        match lease.claim {
-            Claim::Slot(index) => self.complete_slot(id, index, lease),
-            Claim::Audit { .. } => {
-                let disagreement = self.audits.complete(id, &lease);
-                self.effects.extend(disagreement.map(|found| Effect::Failed(Box::new(found))));
-            }
-            Claim::Episode(_) => {}
-        }
-    }
-
-    fn complete_slot(&mut self, id: LeaseId, index: usize, lease: OpenLease) {
-        let slow = self.backup_age();
-        let Some(open) = &mut self.iteration else { return };
-        for other in open.other_leases(index, id) {
-            if let Some(slower) = self.open.remove(other) {
-                if slower.digests.is_empty() && self.now - slower.begun >= slow {
-                    self.actors.processes.lost(slower.owner.process);
-                }
-                // Its later chunks are acknowledged if they are equal, and refused if they are not.
-                if slower.owner.trust == Trust::Exact && lease.owner.trust == Trust::Exact {
-                    self.finished.remember(other, lease.digests.clone());
-                }
-                open.release(index, other, slower);
-            }
-        }
-        let (owner, secs) = (lease.owner, self.now.saturating_sub(lease.begun));
-        match open.complete(index, id, lease) {
-            Completion::Accepted => {
-                self.failures.forget(Key::Slot(index));
-                self.actors.counted(owner);
-                self.typical.add(secs, open.work(index).environments.len());
-                let audited = owner.trust == Trust::Exact && self.actors.processes.can_audit();
-                let digests = self.finished.digests(id).filter(|_| audited);
-                if digests.is_some_and(|digests| {
-                    self.audits.consider(open.work(index), open.weights, id, owner, digests)
-                }) {
-                    self.effects.push(Effect::WorkFreed);
-                }
-                let rollouts = open.take_if_complete();
-                self.effects.extend(rollouts.map(Effect::Iteration));
-            }
-            Completion::Disputed => self.effects.push(Effect::WorkFreed),
-            Completion::Failed(disagreement) => {
-                self.effects.push(Effect::Failed(Box::new(disagreement)));
-            }
-        }
-    }
-
-    /// Whether a result of an evaluation episode would be taken in, before its content is looked at.
-    ///
-    /// # Errors
-    /// As [`Self::preview_chunk`].
-    pub fn preview_evaluation(
-        &self,
-        sender: ConnectionId,
-        header: &PushHeader,
-    ) -> Result<EvaluationPreview, Refusal> {
-        match self.lease_state(sender, header)? {
-            LeaseState::Finished(digests) => {
-                repeated(digests, 0, header.digest)?;
-                let (lease, state) = (header.lease, AckState::Repeated);
-                let ack = Ack { lease, sequence: 0, state, lease_finished: true };
-                Ok(EvaluationPreview::Repeated(ack))
-            }
-            LeaseState::Open(lease) => match lease.claim {
-                Claim::Episode(work) => Ok(EvaluationPreview::Next(work)),
-                _ => Err(wrong_kind("evaluation", "a slot")),
-            },
-        }
-    }
-
-    /// Takes in the checked result of an evaluation episode.
-    ///
-    /// # Errors
-    /// As [`Self::preview_chunk`], and a result of another episode than the lease's.
-    pub fn evaluation(
-        &mut self,
-        sender: ConnectionId,
-        header: &PushHeader,
-        result: EvaluationResult,
-    ) -> Result<Ack, Refusal> {
-        let work = match self.preview_evaluation(sender, header)? {
-            EvaluationPreview::Repeated(ack) => return Ok(ack),
-            EvaluationPreview::Next(work) => work,
-        };
-        if work.episode != result.episode {
-            let detail = format!("{}, the lease is for {}", result.episode, work.episode);
-            return Err(Refusal::new(Reason::BadValue, "evaluation.episode", detail));
-        }
-        if let Some(lease) = self.open.remove(header.lease) {
-            self.finished.remember(header.lease, vec![header.digest]);
-            self.actors.finished(lease.owner);
-            self.complete_episode(header, work, &lease, result);
-        }
-        self.failures.forget(Key::Episode(work.iteration, work.episode));
-        let (lease, state) = (header.lease, AckState::Accepted);
-        Ok(Ack { lease, sequence: 0, state, lease_finished: true })
-    }
-
-    fn complete_episode(
-        &mut self,
-        header: &PushHeader,
-        work: EvaluationWork,
-        lease: &OpenLease,
-        result: EvaluationResult,
-    ) {
-        let (id, digest, owner) = (header.lease, header.digest, lease.owner);
-        let (now, slow, took) = (self.now, self.episode_age(), self.now - lease.begun);
-        for other in self.evaluations.other_leases(work, id) {
-            if let Some(slower) = self.open.remove(other) {
-                if slower.owner.trust == Trust::Exact && owner.trust == Trust::Exact {
-                    self.finished.remember(other, vec![digest]);
-                }
-                if now - slower.begun >= slow {
-                    self.actors.processes.lost(slower.owner.process);
-                }
-            }
-        }
-        let open = &self.open;
-        let holds = |process| open.held_by(process) > 0;
-        let is_audited = owner.trust == Trust::Exact
-            && self.audits.covers(work)
-            && self.actors.processes.can_audit_soon(owner.process, now, holds);
-        let until = now + (self.rules.ttl * AUDIT_IN_TTLS).max(took * 3);
-        let audit = is_audited.then_some(EpisodeAudit { since: now, until, holder: None });
-        let played = Played { result, digest, owner, lease: id, audit };
-        match self.evaluations.complete(work, played) {
-            Verdict::First => {
-                self.actors.counted(owner);
-                self.typical_episode.add(took, 1);
-                self.effects.extend(audit.map(|_| Effect::WorkFreed));
-            }
-            Verdict::Agreed => self.audits.counts.agreed += 1,
-            Verdict::Differed(disagreement) => {
-                self.audits.counts.disagreed += 1;
-                self.effects.push(Effect::Failed(Box::new(disagreement)));
-            }
-        }
-        self.end_evaluations();
-    }
-
-    fn lease_state(
-        &self,
-        sender: ConnectionId,
-        header: &PushHeader,
-    ) -> Result<LeaseState<'_>, Refusal> {
         self.same_incarnation(header.incarnation)?;
         if let Some(digests) = self.finished.digests(header.lease) {
-            return Ok(LeaseState::Finished(digests));
+            return is_repeated(digests, number, header.digest).map(|()| repeated(true));
         }
+        let lease = self.lease_for(sender, header)?;
+        match (sequence, &*lease.work) {
+            (Some(_), Work::Evaluation(_)) => return Err(wrong_kind("chunk", "an evaluation")),
+            (None, Work::Rollout(_)) => return Err(wrong_kind("evaluation", "a slot")),
+            (Some(_), Work::Rollout(_)) | (None, Work::Evaluation(_)) => {}
+        }
+        let next = lease.digests.len();
+        if (number as usize) < next {
+            return is_repeated(&lease.digests, number, header.digest).map(|()| repeated(false));
+        }
+        if number as usize > next {
+            let detail = format!("{number}, the next one of this lease is {next}");
+            return Err(Refusal::new(Reason::OutOfOrder, "chunk.sequence", detail));
+        }
+        Ok(Preview::Next(Assignment {
+            actor: lease.owner.actor,
+            trust: lease.owner.trust,
+            work: Arc::clone(&lease.work),
+            courses: (lease.claim != Claim::Audit).then(|| lease.courses.clone()),
+        }))
+    }
+
+    /// The open lease that `header` names.
+    fn lease_for(&self, sender: ConnectionId, header: &PushHeader) -> Result<&OpenLease, Refusal> {
         let id = header.lease;
         let refuse = |reason, detail| Refusal::new(reason, "lease_id", detail);
         let lease = self.open.get(id).ok_or_else(|| {
@@ -275,6 +97,137 @@ impl SlotTable {
             return Err(refuse(Reason::OtherConnection, detail));
         }
         lease.same_weights(header.weights)?;
-        Ok(LeaseState::Open(lease))
+        Ok(lease)
     }
+
+    /// Takes in a part of a result that has been checked.
+    ///
+    /// # Errors
+    /// What [`Self::preview`] refuses.
+    pub fn take(
+        &mut self,
+        sender: ConnectionId,
+        header: &PushHeader,
+        part: ResultPart,
+    ) -> Result<Ack, Refusal> {
+        let sequence = part.sequence();
+        if let Preview::Repeated(ack) = self.preview(sender, header, sequence)? {
+            return Ok(ack);
+        }
+        let (now, ttl, id) = (self.now, self.rules.ttl, header.lease);
+        let parts = sequence.map_or(1, |_| self.rules.chunks_per_slot);
+        let accept = |lease: &mut OpenLease| {
+            lease.accept(header.digest, part, now, ttl);
+            lease.digests.len() == parts as usize
+        };
+        let lease_finished = self.open.change(id, accept).unwrap_or(false);
+        if lease_finished {
+            self.complete(id);
+        }
+        let (sequence, state) = (sequence.unwrap_or(0), AckState::Accepted);
+        Ok(Ack { lease: id, sequence, state, lease_finished })
+    }
+
+    fn complete(&mut self, id: LeaseId) {
+        let Some(lease) = self.open.remove(id) else { return };
+        self.finished.remember(id, lease.digests.clone());
+        self.actors.finished(lease.owner);
+        match lease.claim {
+            Claim::Result(key) => self.complete_work(id, key, lease),
+            Claim::Audit => match self.audits.complete(id, lease) {
+                Ok(group) => group.into_iter().for_each(|group| self.hand_over(group)),
+                Err(disagreement) => self.effects.push(Effect::Failed(Box::new(disagreement))),
+            },
+        }
+    }
+
+    fn complete_work(&mut self, id: LeaseId, key: Key, lease: OpenLease) {
+        let Some(works) = self.works.get_mut(&key.group) else { return };
+        let slow = self.times.backup_age(works).unwrap_or(self.rules.ttl);
+        for other in works.other_leases(key.index, id) {
+            let Some(slower) = self.open.remove(other) else { continue };
+            if slower.digests.is_empty() && self.now - slower.begun >= slow {
+                self.actors.processes.lost(slower.owner.process);
+            }
+            // Its later parts are acknowledged if they are equal, and refused if they are not.
+            if slower.owner.trust == Trust::Exact && lease.owner.trust == Trust::Exact {
+                self.finished.remember(other, lease.digests.clone());
+            }
+            works.release(key.index, other, slower);
+        }
+        let (owner, took) = (lease.owner, self.now.saturating_sub(lease.begun));
+        let (work, weights) = (Arc::clone(&lease.work), lease.weights);
+        match works.complete(key.index, id, lease) {
+            Completion::Accepted => {
+                self.failures.forget(key);
+                self.actors.counted(owner);
+                self.times.add(key.group, took, &work);
+                if let Some(accepted) = self.audited(id, owner, &work) {
+                    let wait = self.wait_for_audit(key.group, took);
+                    let process = owner.process;
+                    let audit = Audit { work, weights, accepted, process, wait, holder: None };
+                    if self.audits.open(audit) {
+                        self.effects.push(Effect::WorkFreed);
+                    }
+                }
+                self.hand_over(key.group);
+            }
+            Completion::Disputed => self.effects.push(Effect::WorkFreed),
+            Completion::Failed(disagreement) => {
+                self.effects.push(Effect::Failed(Box::new(disagreement)));
+            }
+        }
+    }
+
+    /// The accepted result, if it is to be audited: the sample covers it, and another process may soon do so.
+    fn audited(&self, id: LeaseId, owner: Owner, work: &Work) -> Option<Computed> {
+        let holds = |process| self.open.held_by(process) > 0;
+        let is_audited = owner.trust == Trust::Exact
+            && self.audits.covers(work)
+            && self.actors.processes.can_audit_soon(owner.process, self.now, holds);
+        let digests = self.finished.digests(id).filter(|_| is_audited)?.to_vec();
+        Some(Computed { actor: owner.actor, lease: id, digests })
+    }
+
+    /// How long the group waits for the audit of work that took so long.
+    fn wait_for_audit(&self, group: Group, took: Duration) -> Option<Wait> {
+        match group {
+            Group::Slots => None,
+            Group::Evaluation(_) => {
+                let until = self.now + (self.rules.ttl * AUDIT_IN_TTLS).max(took * 3);
+                Some(Wait { group, since: self.now, until })
+            }
+        }
+    }
+
+    /// Hands over the results of a group that is complete and waits for no audit.
+    pub(super) fn hand_over(&mut self, group: Group) {
+        let Some(works) = self.works.get_mut(&group) else { return };
+        if !works.is_complete() || self.audits.is_awaited_by(group) {
+            return;
+        }
+        self.effects.push(works.take());
+        if group != Group::Slots {
+            self.works.remove(&group);
+        }
+    }
+}
+
+/// Whether part `sequence` is equal to the one that was given before.
+fn is_repeated(digests: &[Digest], sequence: u32, digest: Digest) -> Result<(), Refusal> {
+    match digests.get(sequence as usize) {
+        Some(held) if *held == digest => Ok(()),
+        Some(held) => {
+            let detail = format!("{digest}, the accepted one is {held}");
+            Err(Refusal::new(Reason::DigestConflict, "digest", detail))
+        }
+        None => {
+            let detail = format!("{sequence}, the lease is complete with {}", digests.len());
+            Err(Refusal::new(Reason::OutOfOrder, "chunk.sequence", detail))
+        }
+    }
+}
+
+fn wrong_kind(found: &str, leased: &str) -> Refusal {
+    Refusal::new(Reason::BadValue, "content", format!("{found}, but the lease is for {leased}"))
 }

@@ -1,8 +1,12 @@
-//! How long slots usually take, for the decision that one takes too long. Messages and round trips make the time for each
+//! How long slots and episodes usually take, for the decision that one takes too long. Messages and round trips make the time for each
 //! environment depend on the size of a slot, so only slots of the latest size count.
 
 use std::collections::VecDeque;
 use std::time::Duration;
+
+use proto::Work;
+
+use super::works::{Group, Works, environments};
 
 /// Latest slots of which the median is taken.
 const LATEST: usize = 16;
@@ -11,9 +15,40 @@ const BACKUP_AFTER: u32 = 3;
 /// ... but never before this time: a busy machine alone is no reason to compute a short slot twice.
 const SHORTEST: Duration = Duration::from_secs(1);
 
-/// Times of the latest complete slots.
+/// Times of the latest complete slots and episodes.
 #[derive(Debug, Default)]
-pub(super) struct TypicalTime {
+pub(super) struct TypicalTimes {
+    slots: TypicalTime,
+    episodes: TypicalTime,
+}
+
+impl TypicalTimes {
+    /// Work of this group was complete this long after its lease.
+    pub(super) fn add(&mut self, group: Group, time: Duration, work: &Work) {
+        let latest = match group {
+            Group::Slots => &mut self.slots,
+            Group::Evaluation(_) => &mut self.episodes,
+        };
+        latest.add(time, environments(work));
+    }
+
+    /// The age at which the work of a group may get a backup lease; `None` before the first complete one of its size.
+    pub(super) fn backup_age(&self, works: &Works) -> Option<Duration> {
+        let latest = match works.group() {
+            Group::Slots => &self.slots,
+            Group::Evaluation(_) => &self.episodes,
+        };
+        latest.backup_age(works.item_environments())
+    }
+
+    /// The median time of the latest slots, for each environment.
+    pub(super) fn for_each_environment(&self) -> Option<Duration> {
+        self.slots.for_each_environment()
+    }
+}
+
+#[derive(Debug, Default)]
+struct TypicalTime {
     /// Environments of each of these slots.
     environments: usize,
     times: VecDeque<Duration>,
@@ -21,7 +56,7 @@ pub(super) struct TypicalTime {
 
 impl TypicalTime {
     /// A slot of so many environments was complete this long after its lease.
-    pub(super) fn add(&mut self, time: Duration, environments: usize) {
+    fn add(&mut self, time: Duration, environments: usize) {
         if environments != self.environments {
             *self = Self { environments, times: VecDeque::new() };
         }
@@ -33,13 +68,13 @@ impl TypicalTime {
 
     /// The age at which a slot of so many environments may get a backup lease; `None` before the first complete slot of this
     /// size.
-    pub(super) fn backup_age(&self, environments: usize) -> Option<Duration> {
+    fn backup_age(&self, environments: usize) -> Option<Duration> {
         let median = self.median().filter(|_| environments == self.environments);
         median.map(|median| (median * BACKUP_AFTER).max(SHORTEST))
     }
 
     /// The median of the latest times, divided by the environments of a slot; `None` before the first complete slot.
-    pub(super) fn for_each_environment(&self) -> Option<Duration> {
+    fn for_each_environment(&self) -> Option<Duration> {
         let environments = u32::try_from(self.environments).unwrap_or(u32::MAX).max(1);
         self.median().map(|median| median / environments)
     }

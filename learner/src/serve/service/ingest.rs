@@ -4,17 +4,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use proto::wire::push_trajectory_request::Content;
-use proto::{
-    Ack, EvaluationResult, Film, LeaseId, PushHeader, Reason, Refusal, RolloutOrigin,
-    TrajectoryChunk, wire,
-};
+use proto::{Ack, Film, LeaseId, PushHeader, Reason, Refusal, wire};
 use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio::sync::{Semaphore, mpsc};
 use tonic::{Code, Status, Streaming};
 
+use crate::check::Expected;
 use crate::exchange::{Caller, Exchange};
 use crate::service::bodies::Share;
-use crate::slots::ConnectionId;
+use crate::slots::{ConnectionId, ResultPart};
 
 /// Longest time without a complete message before the stream is closed.
 const MESSAGE_TIMEOUT: Duration = Duration::from_secs(300);
@@ -118,7 +116,7 @@ async fn accept(
     }
 }
 
-/// Checks the header, the lease and the order, the content, and the canary, in this order.
+/// Checks the header, the lease and the order, the content, and the canary, in this order, and takes the result in.
 fn read(
     exchange: &Exchange,
     sender: ConnectionId,
@@ -126,30 +124,27 @@ fn read(
 ) -> Result<Ack, Refusal> {
     let film = request.film.take();
     let (header, content) = PushHeader::from_wire(request)?;
-    match content {
-        Content::Chunk(chunk) => {
-            let decode = |origin: &RolloutOrigin| {
-                TrajectoryChunk::from_wire(&chunk, exchange.run(), origin, header.digest)
-            };
-            exchange.accept_chunk(sender, &header, chunk.sequence, decode)
-        }
-        Content::Evaluation(result) => {
-            let mut checked = None;
-            let ack = exchange.accept_evaluation(sender, &header, |iteration| {
-                let run = exchange.run();
-                let result = EvaluationResult::from_wire(&result, run, iteration, header.digest)?;
-                checked = Some(result);
-                Ok(result)
-            })?;
-            let Some(result) = checked else { return Ok(ack) };
-            // No result depends on a film, so an invalid film does not end the lease.
-            match film.map(|film| Film::from_wire(&film, exchange.run())).transpose() {
-                Ok(film) => {
-                    film.into_iter().for_each(|film| exchange.keep_film(&header, result, film))
-                }
-                Err(why) => tracing::warn!(lease = %header.lease, "film ignored: {why}"),
-            }
-            Ok(ack)
+    let sequence = match &content {
+        Content::Chunk(chunk) => Some(chunk.sequence),
+        Content::Evaluation(_) => None,
+    };
+    let check = match exchange.expected(sender, &header, sequence)? {
+        Expected::Repeated(ack) => return Ok(ack),
+        Expected::Next(check) => check,
+    };
+    // Not under the exchange's lock: this takes milliseconds.
+    let part = check.read(&content, header.digest, exchange.run(), exchange.states())?;
+    let filmed = match (&part, film) {
+        (ResultPart::Episode(result), Some(film)) => Some((*result, film)),
+        _ => None,
+    };
+    let ack = exchange.take(sender, &header, &check, part)?;
+    if let Some((result, film)) = filmed {
+        // No result depends on a film, so an invalid film does not end the lease.
+        match Film::from_wire(&film, exchange.run()) {
+            Ok(film) => exchange.keep_film(&header, result, film),
+            Err(why) => tracing::warn!(lease = %header.lease, "film ignored: {why}"),
         }
     }
+    Ok(ack)
 }

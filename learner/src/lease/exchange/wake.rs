@@ -1,10 +1,30 @@
-//! Why the exchange cannot go on.
+//! Why the trainer wakes up, and why the exchange cannot continue.
 
-use proto::PolicyVersion;
+use proto::{PolicyVersion, RolloutOrigin};
 
-use crate::slots::Disagreement;
+use crate::slots::{Disagreement, EvaluationOutcome, SlotRollout};
 
-/// Why the exchange cannot go on.
+/// Why the trainer woke up.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wake {
+    /// The open iteration is complete.
+    Iteration {
+        /// Every slot, in order.
+        rollouts: Vec<SlotRollout>,
+        /// From the opening of its slots to the last chunk.
+        secs: f64,
+    },
+    /// An evaluation is complete.
+    Evaluation(EvaluationOutcome),
+    /// The start states of this slot cannot be used ([`super::Exchange::replace`]).
+    BeginAgain(RolloutOrigin),
+    /// The run cannot continue.
+    Failed(ExchangeError),
+    /// Nothing happened for as long as it was willing to wait.
+    Patience,
+}
+
+/// Why the exchange cannot continue.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ExchangeError {
     /// What should be published is no policy for this run.
