@@ -28,8 +28,7 @@ use clap::builder::{PathBufValueParser, TypedValueParser as _};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use tracing_subscriber::filter::LevelFilter;
 
-use crate::process::output::Effect;
-use crate::process::output::LogFormat;
+use crate::process::output::{Effect, LogFormat};
 use crate::process::shell;
 use crate::run::fingerprints::BUILD;
 use crate::run::launch::SettingsArguments;

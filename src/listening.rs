@@ -7,8 +7,9 @@ use std::str::FromStr;
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::run_folder::RunFolder;
-use learner::{Hosts, Listener, Page};
+use learner::serve::listener::Listener;
+use learner::serve::page::{Hosts, Page};
+use learner::store::run_folder::RunFolder;
 use security::{ServerTls, Token};
 use tokio::net::TcpListener;
 

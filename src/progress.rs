@@ -7,8 +7,7 @@ use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use learner::event::{EvaluationReport, Spread};
-use learner::{Event, IterationReport};
+use learner::observe::event::{EvaluationReport, Event, IterationReport, Spread};
 
 use crate::figures::chart;
 use crate::process::output;

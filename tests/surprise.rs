@@ -2,7 +2,7 @@
 //! agents share it.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use learner::assemble::problem;
+use learner::train::assemble::problem;
 use marl::{AgentBatch, Batch, Surprise, SurpriseConfig};
 use policy::RunSeed;
 use policy::randomness::{Draw, Key, Purpose};

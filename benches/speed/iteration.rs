@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use learner::Event;
+use learner::observe::event::Event;
 
 use crate::clock::{median, process_secs};
 use crate::processes::{self, children};
@@ -47,7 +47,7 @@ pub(crate) struct Log(Arc<Mutex<Vec<(End, Iteration)>>>);
 
 impl Log {
     /// The observer of the trainer's events.
-    pub(crate) fn observer(&self) -> learner::trainer::Observer {
+    pub(crate) fn observer(&self) -> learner::train::trainer::Observer {
         let log = Arc::clone(&self.0);
         Box::new(move |event| {
             let Event::Iteration(report) = event else { return };

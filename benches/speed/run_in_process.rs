@@ -7,13 +7,13 @@ use std::sync::Arc;
 use std::thread::{Builder, scope};
 use std::time::{Duration, Instant};
 
-use learner::assemble::assemble;
-use learner::check::Expected;
-use learner::environments::Environments;
-use learner::exchange::SlotRollout;
-use learner::slots::{ConnectionId, ResultPart};
-use learner::trainer::Outside;
-use learner::{Exchange, launch};
+use learner::launch;
+use learner::lease::check::Expected;
+use learner::lease::exchange::Exchange;
+use learner::lease::slots::{ConnectionId, ResultPart, SlotRollout};
+use learner::train::assemble::assemble;
+use learner::train::environments::Environments;
+use learner::train::trainer::Outside;
 use policy::PolicySnapshot;
 use proto::{
     ActorId, Lease, LeaseAnswer, LeaseId, PROTOCOL_VERSION, PushHeader, Registration, RolloutWork,

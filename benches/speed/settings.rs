@@ -4,8 +4,8 @@ use std::path::Path;
 use std::process::Command;
 
 use anyhow::{Context as _, ensure};
-use learner::Launch;
-use learner::end_states::StateReader;
+use learner::launch::Launch;
+use learner::lease::end_states::StateReader;
 use marl::{ObservationScale, Problem};
 use policy::RunSeed;
 use proto::Digest;
@@ -18,7 +18,7 @@ pub(crate) struct Settings {
     pub(crate) task: sim::TaskConfig,
     pub(crate) policy: policy::PolicyConfig,
     pub(crate) training: marl::Config,
-    pub(crate) learner: learner::Config,
+    pub(crate) learner: learner::config::Config,
 }
 
 /// Path of the program, built with the same profile.
@@ -71,7 +71,7 @@ impl Settings {
     /// The task's sizes for a learning rule.
     pub(crate) fn problem(&self) -> anyhow::Result<Problem> {
         let world = self.world(1)?;
-        Ok(learner::assemble::problem(world.description()))
+        Ok(learner::train::assemble::problem(world.description()))
     }
 
     /// The decoder of the task's states.

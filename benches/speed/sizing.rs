@@ -1,7 +1,7 @@
 //! The number of actor cores that suits a learner, from the costs of rollouts and update on one core. Rollouts end
 //! before the update begins, so with as many actor cores as the ratio of the costs, each side works half of the time.
 
-use learner::environments::Environments;
+use learner::train::environments::Environments;
 use marl::Problem;
 
 use crate::Effort;

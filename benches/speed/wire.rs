@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Child, Stdio};
 
-use learner::environments::Environments;
+use learner::train::environments::Environments;
 use policy::PolicySnapshot;
 use prost::Message as _;
 use proto::wire::push_trajectory_request::Content;
@@ -65,7 +65,7 @@ fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::R
         let start = |_| Ok(program(&["actor", "--learner", &url]).stderr(Stdio::null()).spawn()?);
         let actors: Vec<Child> = (0..ACTORS).map(start).collect::<anyhow::Result<_>>()?;
         let (log, (_stop, never)) = (Log::default(), watch::channel(false));
-        learner::run(launch, listener, None, log.observer(), never).await?;
+        learner::run::run(launch, listener, None, log.observer(), never).await?;
         for mut actor in actors {
             actor.wait()?;
         }

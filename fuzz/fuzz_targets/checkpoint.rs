@@ -7,8 +7,8 @@ use std::fs;
 use std::path::PathBuf;
 
 use arbitrary::{Arbitrary, Unstructured};
-use learner::CheckpointConfig;
-use learner::checkpoint::{self, Checkpoint, FileEntry, Manifest, RunSettings};
+use learner::config::CheckpointConfig;
+use learner::store::checkpoint::{self, Checkpoint, FileEntry, Manifest, RunSettings};
 use libfuzzer_sys::fuzz_target;
 use policy::arrays::{Array, NamedArrays, from_safetensors, hex};
 use sha2::{Digest as _, Sha256};

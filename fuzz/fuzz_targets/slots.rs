@@ -16,7 +16,7 @@ use std::time::Duration;
 use arbitrary::{Arbitrary, Unstructured};
 use cluster::Cluster;
 use events::{ACTORS, Event, MOST_IN_FLIGHT};
-use learner::slots::{ConnectionId, Effect, Offer, Preview, ResultPart, SlotTable, Trust};
+use learner::lease::slots::{ConnectionId, Effect, Offer, Preview, ResultPart, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
     AckState, ActorId, Digest, EvaluationResult, Heartbeat, Incarnation, LeaseId, PolicyVersion,

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use crate::checkpoint::CheckpointError;
 use crate::config::ConfigError;
-use crate::durable::FileError;
-use crate::exchange::ExchangeError;
-use crate::run_folder::RunFolderError;
+use crate::lease::exchange::ExchangeError;
+use crate::store::checkpoint::CheckpointError;
+use crate::store::durable::FileError;
+use crate::store::run_folder::RunFolderError;
 
 /// Why a run could not start, go on or end.
 #[derive(Debug, thiserror::Error)]

@@ -9,18 +9,18 @@ use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescripti
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 
-use crate::assemble::problem;
-use crate::checkpoint::{self, CheckpointError, Loaded};
 use crate::config::Config;
-use crate::end_states::StateReader;
-use crate::environments::Environments;
 use crate::error::LearnerError;
-use crate::evaluation::Evaluations;
-use crate::metrics::Metrics;
-use crate::run_folder::{RunFolder, RunFolderError};
-use crate::sample::random_number;
+use crate::lease::end_states::StateReader;
+use crate::lease::sample::random_number;
+use crate::observe::metrics::Metrics;
+use crate::store::checkpoint::{self, CheckpointError, Loaded};
+use crate::store::run_folder::{RunFolder, RunFolderError};
+use crate::train::assemble::{Layout, problem};
+use crate::train::environments::Environments;
+use crate::train::evaluation::Evaluations;
 use crate::train::provenance::Provenance;
-use crate::trainer::{Trainer, policy_bytes};
+use crate::train::trainer::{Trainer, policy_bytes};
 
 /// What a run is started with.
 #[derive(Clone, Debug)]

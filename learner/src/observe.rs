@@ -1,6 +1,5 @@
-//! Reporting of a run: events, the current snapshot, metrics files, and the web page.
+//! Reporting of a run: events, the current snapshot, and metrics files.
 
 pub mod event;
 pub mod metrics;
-pub mod page;
 pub mod snapshot;

@@ -9,12 +9,13 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
 use crate::error::LearnerError;
-use crate::exchange::Exchange;
 use crate::launch::{Launch, prepare};
-use crate::listener::Listener;
-use crate::page::{self, Facts, Page, RunView};
-use crate::service;
-use crate::trainer::{Observer, Outside, RunningTrainer, Summary, Trainer};
+use crate::lease::exchange::Exchange;
+use crate::observe::event::Summary;
+use crate::serve::listener::Listener;
+use crate::serve::page::{self, Facts, Page, RunView};
+use crate::serve::service;
+use crate::train::trainer::{Observer, Outside, RunningTrainer, Trainer};
 
 /// How long actors have to hear that the run is over.
 const FAREWELL: Duration = Duration::from_secs(2);

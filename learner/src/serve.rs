@@ -1,8 +1,9 @@
-//! The gRPC services and their clients.
+//! The gRPC services and their clients, and the web page.
 
 pub(crate) mod accepting;
 pub mod health;
 pub mod listener;
+pub mod page;
 pub mod service;
 pub(crate) mod team;
 pub(crate) mod token;

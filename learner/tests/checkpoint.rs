@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use learner::CheckpointConfig;
-use learner::checkpoint::{
+use learner::config::CheckpointConfig;
+use learner::store::checkpoint::{
     self, Before, Checkpoint, CheckpointError, Loaded, RunSettings, Saved, Step,
 };
 use policy::arrays::{Array, NamedArrays};

@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use clap::Args;
-use learner::run_folder::RunFolder;
-use learner::service::Operator;
+use learner::serve::service::Operator;
+use learner::store::run_folder::RunFolder;
 use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use security::addresses;
 use serde_json::json;
@@ -136,7 +136,7 @@ pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
         anyhow::Ok(operator.status().await?)
     })?;
     if arguments.json {
-        output::line(learner::exchange::status_json(&status));
+        output::line(learner::lease::exchange::status_json(&status));
     } else {
         output::line(text(&status));
     }
@@ -267,7 +267,7 @@ pub(crate) struct HealthArguments {
 pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
     let patience = patience(arguments.timeout_secs)?;
     let tls = credentials(&arguments.learner, &arguments.tls)?;
-    let asked = learner::health::demand_serving(&arguments.learner, tls.as_ref(), patience);
+    let asked = learner::serve::health::demand_serving(&arguments.learner, tls.as_ref(), patience);
     runtime()?.block_on(asked)?;
     output::line(format!("{} serves", arguments.learner));
     Ok(())

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::event::Spread;
+use learner::observe::event::Spread;
 use proto::ActionChoice;
 use rollout::{Episode, StepEvent};
 use serde_json::json;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::RunFolder;
 use tokio::sync::watch;
 
 use crate::errors::Usage;
@@ -161,7 +161,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         return tell(&file, &runs);
     }
     place::check(&file, &runs, others(arguments))?;
-    learner::durable::make_folder(&file.folder)?;
+    learner::store::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
@@ -198,7 +198,7 @@ fn submit(
             let script = slurm::script(file, &jobs, cluster.slurm()?)?;
             slurm::demand_sbatch()?;
             place::check(file, runs, others(arguments))?;
-            learner::durable::make_folder(&file.folder)?;
+            learner::store::durable::make_folder(&file.folder)?;
             let path = file.folder.join(slurm::SCRIPT_NAME);
             target::file(&path, script.as_bytes())?;
             output::line(slurm::submit(&path)?);

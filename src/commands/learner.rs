@@ -83,9 +83,10 @@ async fn serve(
     output::line(format!("{} waits for actors on {url}", folder.display()));
     let page = arguments.page.open(page_tls).await?;
     let mut progress = Progress::new(config.env_steps());
-    let observer = Box::new(move |event: &learner::Event| progress.observe(event));
-    let summary =
-        learner::run(launch, listener, page, observer, stop).await.context("the learner failed")?;
+    let observer = Box::new(move |event: &learner::observe::event::Event| progress.observe(event));
+    let summary = learner::run::run(launch, listener, page, observer, stop)
+        .await
+        .context("the learner failed")?;
     let done = if summary.stopped_early { "stopped" } else { "finished" };
     output::line(format!(
         "{done} after iteration {}: {}",

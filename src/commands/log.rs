@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::RunFolder;
 use recording::trajectory_log::{
     self, LogError, ReadShares, Replayed, is_log_name, read_bytes, read_shares,
 };

@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use learner::json_lines::JsonLinesReader;
-use learner::metrics::Curves;
-use learner::run_folder::RunFolder;
-use learner::{OverlaidRun, Overlay};
+use learner::observe::metrics::Curves;
+use learner::serve::page::{OverlaidRun, Overlay};
+use learner::store::json_lines::JsonLinesReader;
+use learner::store::run_folder::RunFolder;
 
 use crate::figures::learning_curve;
 use crate::listening::PageAccess;
@@ -53,7 +53,7 @@ pub(super) fn run(arguments: &PageArguments) -> anyhow::Result<()> {
     runtime()?.block_on(async {
         let advice = "choose another port, or 0 for any free one";
         let page = access.open(("--listen", *listen), advice, None).await?;
-        learner::serve_overlay(page, look).await;
+        learner::serve::page::serve_overlay(page, look).await;
         Ok(())
     })
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::RunFolder;
 
 use crate::figures::learning_curve::Curve;
 use crate::figures::{self, learning_curve};

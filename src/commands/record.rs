@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::RunFolder;
 use recording::{RecordError, RecordSummary, RecordedRun};
 use rollout::EvaluationEpisode;
 

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::checkpoint::Loaded;
-use learner::published::Published;
-use learner::run_folder::RunFolder;
-use learner::service::{ServedPolicies, serve_policies};
+use learner::lease::published::Published;
+use learner::serve::service::{ServedPolicies, serve_policies};
+use learner::store::checkpoint::Loaded;
+use learner::store::run_folder::RunFolder;
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
@@ -103,7 +103,7 @@ impl ServedRun {
 
     /// Loads each new checkpoint on a separate thread until the process ends.
     fn follow(self) -> anyhow::Result<()> {
-        if learner::checkpoint::is_checkpoint(&self.path) {
+        if learner::store::checkpoint::is_checkpoint(&self.path) {
             let shown = self.path.display();
             let why = format!(
                 "{shown} is a checkpoint, which never changes; name its run, or leave out --follow"
@@ -119,7 +119,7 @@ impl ServedRun {
         let mut seen = self.newest.borrow().name.version.0;
         while !self.newest.is_closed() {
             std::thread::sleep(POLL_INTERVAL);
-            let found = learner::checkpoint::newest_iteration(&self.path).ok().flatten();
+            let found = learner::store::checkpoint::newest_iteration(&self.path).ok().flatten();
             let Some(iteration) = found.filter(|iteration| *iteration > seen) else { continue };
             seen = iteration;
             let loaded = checkpointed::load(&self.path);

@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 use actor::Transport;
 use anyhow::Context as _;
 use clap::Args;
-use learner::{LearnerError, Listener, Summary};
+use learner::error::LearnerError;
+use learner::observe::event::Summary;
+use learner::serve::listener::Listener;
 use proto::Episodes;
 use recording::trajectory_log::{is_log_name, totals};
 use security::Token;
@@ -89,8 +91,8 @@ async fn train(
     })?;
     let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));
     let mut progress = Progress::new(config.env_steps());
-    let observer = Box::new(move |event: &learner::Event| progress.observe(event));
-    let summary = learner::run(launch, listener, page, observer, stop).await;
+    let observer = Box::new(move |event: &learner::observe::event::Event| progress.observe(event));
+    let summary = learner::run::run(launch, listener, page, observer, stop).await;
     end.send_replace(true);
     let failure = actors.await.context("the supervisor of the actors failed")?;
     if config.log.episodes != Episodes::None {
@@ -123,7 +125,7 @@ fn processes(
     token: Token,
 ) -> anyhow::Result<ActorProcesses> {
     let logs = run_path::logs(folder);
-    learner::durable::make_folder(&logs)?;
+    learner::store::durable::make_folder(&logs)?;
     Ok(ActorProcesses {
         program: std::env::current_exe().context("cannot find this program")?,
         learner: format!("http://{}", listener.local_addr()?),

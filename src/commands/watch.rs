@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use learner::health::HealthError;
-use learner::service::WatchedLines;
+use learner::serve::health::HealthError;
+use learner::serve::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::{Value, json};
 

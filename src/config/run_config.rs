@@ -51,7 +51,7 @@ pub(crate) struct RunConfig {
     /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
     pub(crate) training: marl::Config,
     /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `metrics`, `learner`.
-    pub(crate) learner: learner::Config,
+    pub(crate) learner: learner::config::Config,
     /// Section `log`.
     pub(crate) log: recording::trajectory_log::LogSettings,
 }

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use learner::plain_file;
-use learner::run_folder::{CONFIG, MANIFEST, RunFolder};
+use learner::store::plain_file;
+use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder};
 
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
@@ -18,8 +18,8 @@ pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), Con
     };
     let own = read.and_then(|config| unchanged(&file, folder, config));
     let Err(why) = own else { return own.map(|config| (file, config)) };
-    let Ok(loaded) = learner::checkpoint::load_newest(folder) else { return Err(why) };
-    let copy = loaded.path.join(learner::checkpoint::SETTINGS);
+    let Ok(loaded) = learner::store::checkpoint::load_newest(folder) else { return Err(why) };
+    let copy = loaded.path.join(learner::store::checkpoint::SETTINGS);
     let config = RunConfig::of_file(&copy).map_err(|_| why.clone())?;
     tracing::warn!("{why}; the settings in {} are used", copy.display());
     Ok((copy, config))

@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 
 use anyhow::Context as _;
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::RunFolder;
 
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;

@@ -7,8 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
-use learner::run_folder::PROVENANCE;
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::{PROVENANCE, RunFolder};
 use policy::arrays::hex;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
@@ -157,9 +156,9 @@ impl Record {
     /// Names the file if it cannot be written.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
         if let Some(folder) = path.parent() {
-            learner::durable::make_folder(folder)?;
+            learner::store::durable::make_folder(folder)?;
         }
-        Ok(learner::durable::replace(path, self.text().as_bytes())?)
+        Ok(learner::store::durable::replace(path, self.text().as_bytes())?)
     }
 
     fn text(&self) -> String {

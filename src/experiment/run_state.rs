@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use learner::json_lines;
-use learner::run_folder::RunFolder;
+use learner::store::json_lines;
+use learner::store::run_folder::RunFolder;
 use serde_json::Value;
 
 use super::plan::PlannedRun;

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use kuva::render::layout::TickFormat;
-use learner::json_lines::JsonLinesReader;
-use learner::plain_file;
-use learner::run_folder::RunFolder;
+use learner::store::json_lines::JsonLinesReader;
+use learner::store::plain_file;
+use learner::store::run_folder::RunFolder;
 use policy::{Draw, Purpose};
 use serde_json::Value;
 

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::plain_file;
+use learner::store::plain_file;
 
 use crate::errors::Usage;
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
-use learner::checkpoint::{self, CheckpointError, Loaded};
+use learner::store::checkpoint::{self, CheckpointError, Loaded};
 use policy::{PolicySnapshot, RunSeed};
 use proto::{Digest, PolicyVersion, WeightsName};
 use rollout::EvaluationEpisode;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context as _;
-use learner::checkpoint;
+use learner::store::checkpoint;
 
 use crate::process::output;
 use crate::run::launch::SettingsArguments;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use learner::run_folder::RunFolder;
+use learner::store::run_folder::RunFolder;
 use proto::Digest;
 
 use crate::errors::Usage;

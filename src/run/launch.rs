@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use actor::Transport;
 use clap::Args;
-use learner::Launch;
-use learner::run_folder::RunFolder;
+use learner::launch::Launch;
+use learner::store::run_folder::RunFolder;
 use policy::RunSeed;
 use proto::Digest;
 use serde_json::json;

@@ -1,7 +1,7 @@
 //! Fits the messages of a new run to its environment, whose observations may be large: messages have fewer steps, or the
 //! settings that leave no fitting message are refused with values that fit.
 
-use learner::Launch;
+use learner::launch::Launch;
 use proto::{Digest, RunDescription};
 
 use crate::config::keys::{self, URL};

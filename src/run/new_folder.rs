@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use anyhow::Context as _;
-use learner::durable;
-use learner::run_folder::RunFolder;
+use learner::store::durable;
+use learner::store::run_folder::RunFolder;
 
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Resolved, layers};

@@ -2,7 +2,7 @@
 
 use actor::{EnvironmentService, Transport};
 use anyhow::Context as _;
-use learner::end_states::StateReader;
+use learner::lease::end_states::StateReader;
 use proto::EnvironmentSpec;
 use sim::{EnvironmentBatch, State};
 use tokio::runtime::Runtime;

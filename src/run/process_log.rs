@@ -5,7 +5,7 @@ use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 
-use learner::plain_file;
+use learner::store::plain_file;
 
 /// Levels of log lines that report no failure.
 const HARMLESS: [&str; 4] = ["WARN", "INFO", "DEBUG", "TRACE"];

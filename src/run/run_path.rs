@@ -5,8 +5,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use learner::run_folder::{CONFIG, LOGS, MANIFEST, METRICS, RunFolder, STARTS};
-use learner::{checkpoint, plain_file};
+use learner::store::run_folder::{CONFIG, LOGS, MANIFEST, METRICS, RunFolder, STARTS};
+use learner::store::{checkpoint, plain_file};
 use time::OffsetDateTime;
 
 use crate::errors::Usage;

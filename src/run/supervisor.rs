@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use learner::plain_file;
+use learner::store::plain_file;
 use proto::Episodes;
 use recording::trajectory_log::LogSettings;
 use security::Token;

@@ -133,7 +133,7 @@ async fn play(
 async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
     let folder = trained();
     let server = Server::start(folder, &[]);
-    let loaded = learner::checkpoint::load_newest(folder).unwrap().checkpoint;
+    let loaded = learner::store::checkpoint::load_newest(folder).unwrap().checkpoint;
     let snapshot = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
     let told = succeeded(&["eval", folder.to_str().unwrap(), "--episodes=2", "--json"]);
     // Compared as text, since parsing a JSON number may lose its last bit.
@@ -168,7 +168,7 @@ async fn the_service_describes_its_agents_and_weights() {
     let server = Server::start(folder, &[]);
     let described = server.client().await.describe_policy(wire::DescribePolicyRequest {}).await;
     let described = PolicyDescription::from_wire(described.unwrap().into_inner()).unwrap();
-    let bytes = learner::checkpoint::load_newest(folder).unwrap().checkpoint.policy;
+    let bytes = learner::store::checkpoint::load_newest(folder).unwrap().checkpoint.policy;
     assert_eq!(described.weights.digest.0, policy::digest(&bytes));
     assert_eq!(described.weights.version.0, inspect(folder)["iteration"]);
     assert_eq!(described.run_id, "trained");

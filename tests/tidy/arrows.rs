@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use toml::Table;
 
 use crate::assert_none;
-use crate::repository::{LIBRARIES, read};
+use crate::repository::{LIBRARIES, read, rust_files};
+use crate::rust_text::code_lines;
 
 /// Workspace crates that a crate may use. The root may use all of them.
 const ARROWS: [(&str, &[&str]); 10] = [
@@ -20,6 +21,9 @@ const ARROWS: [(&str, &[&str]); 10] = [
     ("actor", &["policy", "proto", "recording", "rollout", "security", "sim"]),
     ("learner", &["marl", "policy", "proto", "security"]),
 ];
+
+/// The learner's folders. Each may use only those after it.
+const LEARNER_LAYERS: [&str; 5] = ["serve", "train", "lease", "observe", "store"];
 
 const ROOT: &str = "s2mia";
 
@@ -86,6 +90,24 @@ fn a_crate_uses_only_the_crates_that_its_arrows_allow() {
         offenders.extend(wrong.map(|other| format!("{name}/Cargo.toml: {name} -> {other}")));
     }
     assert_none("an arrow that ARCHITECTURE.md does not draw:", &offenders);
+}
+
+#[test]
+fn a_layer_of_the_learner_uses_only_the_layers_after_it() {
+    let mut offenders = Vec::new();
+    for file in rust_files() {
+        let Some(path) = file.path.strip_prefix("learner/src/") else { continue };
+        let folder = path.split(['/', '.']).next();
+        let Some(own) = LEARNER_LAYERS.iter().position(|layer| Some(*layer) == folder) else {
+            continue;
+        };
+        for (number, line) in code_lines(&file.body) {
+            let before = |layer: &&&str| line.contains(&format!("crate::{layer}::"));
+            let found = LEARNER_LAYERS[..own].iter().find(before);
+            offenders.extend(found.map(|layer| format!("{}:{number}: uses {layer}", file.path)));
+        }
+    }
+    assert_none("an arrow between layers that ARCHITECTURE.md does not draw:", &offenders);
 }
 
 #[test]

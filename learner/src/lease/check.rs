@@ -9,10 +9,10 @@ use proto::{
     Work,
 };
 
-use crate::canary::{self, Extent};
-use crate::end_states::{StateReader, follow};
-use crate::published::Published;
-use crate::slots::{Assignment, ResultPart, Trust};
+use crate::lease::canary::{self, Extent};
+use crate::lease::end_states::{StateReader, follow};
+use crate::lease::published::Published;
+use crate::lease::slots::{Assignment, ResultPart, Trust};
 
 /// What happens to a part of a result.
 #[derive(Clone, Debug)]

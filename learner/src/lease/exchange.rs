@@ -13,15 +13,13 @@ use proto::{
 };
 use tokio::sync::{Notify, watch};
 
-use crate::canary;
 use crate::config::{AuditConfig, LeaseConfig};
-use crate::end_states::StateReader;
-use crate::published::Published;
-use crate::sample::SecretSample;
-use crate::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
-pub use crate::slots::{EvaluationOutcome, SlotRollout};
-pub use crate::snapshot::FilmedEpisode;
-use crate::snapshot::RunSnapshot;
+use crate::lease::canary;
+use crate::lease::end_states::StateReader;
+use crate::lease::published::Published;
+use crate::lease::sample::SecretSample;
+use crate::lease::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
+use crate::observe::snapshot::RunSnapshot;
 
 mod incidents;
 mod reporting;

@@ -38,7 +38,6 @@ mod works;
 
 use actors::{Actors, Admission};
 pub use actors::{ConnectionId, Trust};
-pub use audits::AuditCounts;
 use audits::Audits;
 pub use disagreement::{ComputedPart, Disagreement, Part};
 use failures::Failures;
@@ -50,7 +49,7 @@ pub use results::{Assignment, Preview};
 use typical::TypicalTimes;
 use works::{Group, Works};
 
-use crate::sample::SecretSample;
+use crate::lease::sample::SecretSample;
 
 /// What holds for a table as long as it exists.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,5 +1,7 @@
 //! Events of a run, for its observers.
 
+use std::path::PathBuf;
+
 use serde::Serialize;
 
 /// An event of a run.
@@ -151,6 +153,23 @@ impl Spread {
             maximum: returns.fold(f64::NEG_INFINITY, f64::max),
         }
     }
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Summary {
+    /// Finished iterations.
+    pub iteration: u64,
+    /// Environment steps of all finished iterations.
+    pub env_steps: u64,
+    /// The last checkpoint.
+    pub checkpoint: PathBuf,
+    /// Whether the run was stopped before its last iteration or its last evaluation had finished.
+    pub stopped_early: bool,
+    /// Hash of the weights, hexadecimal.
+    pub weights_sha256: String,
+    /// Hash of the whole state, hexadecimal.
+    pub state_sha256: String,
 }
 
 #[cfg(test)]

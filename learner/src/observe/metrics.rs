@@ -18,10 +18,10 @@ use serde_json::{Value, json};
 pub use self::curves::{Curve, Curves};
 use self::event_file::EventFile;
 use crate::config::MetricsConfig;
-use crate::durable::FileError;
-use crate::event::{EvaluationReport, IterationReport};
-use crate::json_lines::{JsonLines, iterations};
-use crate::run_folder::{METRICS, TENSORBOARD};
+use crate::observe::event::{EvaluationReport, IterationReport};
+use crate::store::durable::FileError;
+use crate::store::json_lines::{JsonLines, iterations};
+use crate::store::run_folder::{METRICS, TENSORBOARD};
 
 /// The metrics files of a run, open for appending.
 #[derive(Debug)]
@@ -114,7 +114,7 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Spread;
+    use crate::observe::event::Spread;
 
     const ALL: MetricsConfig = MetricsConfig { tensorboard: true };
 

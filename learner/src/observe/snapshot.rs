@@ -7,11 +7,21 @@ use proto::{
     EvaluationResult, EvaluationSummary, Film, Incarnation, PolicyVersion, RunEnd, RunLine, Status,
 };
 
-use crate::event::{Event, IterationReport, Stage, WrittenCheckpoint};
-use crate::slots::AuditCounts;
+use crate::observe::event::{Event, IterationReport, Stage, WrittenCheckpoint};
 
 /// Lines kept for watchers that are slow or connect late; the oldest is dropped.
 const KEPT_LINES: usize = 256;
+
+/// Results of all audits so far, of slots and of episodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AuditCounts {
+    /// Both results were equal.
+    pub agreed: u64,
+    /// The results differed; the run stops at the first.
+    pub disagreed: u64,
+    /// No other actor had time for it.
+    pub skipped: u64,
+}
 
 /// The figures of a run. Counts start with the learner's process.
 #[derive(Clone, Debug, Default)]
@@ -164,7 +174,7 @@ fn count(report: &IterationReport, name: &str) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::{EvaluationReport, Spread};
+    use crate::observe::event::{EvaluationReport, Spread};
 
     fn run() -> RunSnapshot {
         RunSnapshot::new("a run".to_owned(), Incarnation(1))

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use security::{ServerTls, Token};
 use tokio::net::TcpListener;
 
-use crate::run_folder::RunFolder;
-use crate::token::RequiredToken;
+use crate::serve::token::RequiredToken;
+use crate::store::run_folder::RunFolder;
 
 /// A listening socket.
 #[derive(Debug)]

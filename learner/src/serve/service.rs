@@ -19,10 +19,10 @@ use tonic::{Request, Response, Status, Streaming};
 use tonic_health::pb::health_server;
 use tonic_reflection::server::Builder;
 
-use crate::exchange::{Caller, Exchange};
-use crate::listener::Listener;
-use crate::service::control::Control;
-use crate::service::ingest::Results;
+use crate::lease::exchange::{Caller, Exchange};
+use crate::serve::listener::Listener;
+use crate::serve::service::control::Control;
+use crate::serve::service::ingest::Results;
 
 mod bodies;
 mod connections;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use policy::{Draw, Purpose, RunSeed, Scratch, generator};
 use proto::{ActStep, Acted, ActionChoice};
 
-use crate::published::Published;
+use crate::lease::published::Published;
 
 /// All agents of one environment.
 #[derive(Debug)]

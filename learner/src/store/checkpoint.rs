@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_safetensors};
 
 use crate::config::CheckpointConfig;
-use crate::durable::{self, DRAFT, FileError};
-use crate::plain_file;
+use crate::store::durable::{self, DRAFT, FileError};
+use crate::store::plain_file;
 
 use kept::{is_gone, iterations, prune};
 use step::about_to;

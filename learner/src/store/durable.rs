@@ -5,7 +5,7 @@ use std::io::{self, Write as _};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
-use crate::plain_file;
+use crate::store::plain_file;
 
 /// With what the name of a file or folder begins until it is complete.
 pub(crate) const DRAFT: &str = ".tmp-";

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use crate::durable::{self, FileError};
-use crate::plain_file;
+use crate::store::durable::{self, FileError};
+use crate::store::plain_file;
 
 /// Bytes that wait for a disk which takes nothing, before the run gives up.
 const MOST_WAITING: usize = 16 << 20;

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use crate::durable::{self, FileError};
-use crate::{checkpoint, plain_file};
+use crate::store::durable::{self, FileError};
+use crate::store::{checkpoint, plain_file};
 
 pub use place::PlaceError;
 

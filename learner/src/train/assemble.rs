@@ -6,7 +6,7 @@ use std::ops::Range;
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem};
 use proto::{AgentSpec, EnvironmentSpec, FeatureRole, FinalStep, RunDescription, TrajectoryChunk};
 
-use crate::exchange::SlotRollout;
+use crate::lease::slots::SlotRollout;
 
 /// The environment as the algorithm sees it: sizes, kinds of actions, and which features carry a signal.
 #[must_use]

@@ -7,10 +7,10 @@ use marl::Batch;
 use policy::arrays::{Array, NamedArrays};
 use proto::{EnvironmentStart, EpisodePosition, RolloutWork, RunDescription, Start};
 
-use crate::checkpoint::{CheckpointError, fields};
 use crate::config::Phase;
-use crate::end_states::StateReader;
-use crate::exchange::SlotRollout;
+use crate::lease::end_states::StateReader;
+use crate::lease::slots::SlotRollout;
+use crate::store::checkpoint::{CheckpointError, fields};
 
 /// Finished episodes in the reported mean return.
 const RECENT: usize = 20;

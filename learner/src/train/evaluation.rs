@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 use bytes::Bytes;
 use policy::arrays::{Array, NamedArrays};
 
-use crate::checkpoint::{CheckpointError, fields};
 use crate::config::EvaluationConfig;
+use crate::store::checkpoint::{CheckpointError, fields};
 
 const ITERATION: &str = "evaluation/iteration";
 const POLICY: &str = "evaluation/policy";

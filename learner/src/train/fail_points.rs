@@ -4,7 +4,7 @@
 use std::io;
 use std::time::Duration;
 
-use crate::checkpoint::Step;
+use crate::store::checkpoint::Step;
 
 /// Delay after the start of the update; shorter than any update.
 const UPDATE_DELAY: Duration = Duration::from_millis(3);

@@ -7,10 +7,10 @@ use policy::arrays::{NamedArrays, hex, sha256};
 use proto::WeightsName;
 use serde_json::{Value, json};
 
-use crate::durable::FileError;
-use crate::exchange::SlotRollout;
-use crate::json_lines::JsonLines;
-use crate::run_folder::PROVENANCE;
+use crate::lease::slots::SlotRollout;
+use crate::store::durable::FileError;
+use crate::store::json_lines::JsonLines;
+use crate::store::run_folder::PROVENANCE;
 
 /// The provenance of a run, open for more.
 #[derive(Debug)]

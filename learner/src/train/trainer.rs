@@ -19,41 +19,25 @@ use policy::arrays::NamedArrays;
 use proto::{Digest, PolicyVersion, WeightsName};
 use rayon::ThreadPool;
 
-use crate::assemble::assemble;
-use crate::checkpoint::{self, Saved};
 use crate::config::Config;
-use crate::end_states::StateReader;
-use crate::environments::Environments;
 use crate::error::LearnerError;
-use crate::evaluation::{Evaluated, Evaluations};
-use crate::event::{Event, IterationReport, Stage};
-use crate::exchange::{Exchange, SlotRollout};
-use crate::metrics::Metrics;
-use crate::run_folder::RunFolder;
+use crate::lease::end_states::StateReader;
+use crate::lease::exchange::Exchange;
+use crate::lease::slots::SlotRollout;
+use crate::observe::event::{Event, IterationReport, Stage, Summary};
+use crate::observe::metrics::Metrics;
+use crate::store::checkpoint::{self, Saved};
+use crate::store::run_folder::RunFolder;
+use crate::train::assemble::{Layout, assemble};
+use crate::train::environments::Environments;
+use crate::train::evaluation::{Evaluated, Evaluations};
 use crate::train::fail_points;
 use crate::train::provenance::{Origin, Provenance};
-use crate::trainer::collect::{Collected, ProgressMonitor};
-use crate::trainer::divergence::Divergence;
+use crate::train::trainer::collect::{Collected, ProgressMonitor};
+use crate::train::trainer::divergence::Divergence;
 
 /// Receives a run's events.
 pub type Observer = Box<dyn FnMut(&Event) + Send>;
-
-/// How a run ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Summary {
-    /// Finished iterations.
-    pub iteration: u64,
-    /// Environment steps of all finished iterations.
-    pub env_steps: u64,
-    /// The last checkpoint.
-    pub checkpoint: std::path::PathBuf,
-    /// Whether the run was stopped before its last iteration or its last evaluation had finished.
-    pub stopped_early: bool,
-    /// Hash of the weights, hexadecimal.
-    pub weights_sha256: String,
-    /// Hash of the whole state, hexadecimal.
-    pub state_sha256: String,
-}
 
 /// The state of a run between two iterations.
 pub struct Trainer {

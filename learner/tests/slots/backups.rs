@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use learner::slots::{AuditCounts, ConnectionId, Effect, Offer, Part};
+use learner::lease::slots::{ConnectionId, Effect, Offer, Part};
+use learner::observe::snapshot::AuditCounts;
 use proto::{AckState, Digest, Heartbeat, Reason};
 
 use crate::table::{

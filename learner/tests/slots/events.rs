@@ -1,6 +1,6 @@
 //! Events and messages of a simulated cluster.
 
-use learner::slots::{ConnectionId, Offer};
+use learner::lease::slots::{ConnectionId, Offer};
 use proto::{ActorId, Heartbeat, Incarnation, Lease, LeaseId};
 
 /// Number of actors.

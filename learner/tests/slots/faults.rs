@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use learner::slots::{Effect, Offer, SlotTable};
+use learner::lease::slots::{Effect, Offer, SlotTable};
 use proptest::prelude::*;
 use proto::{AckState, Heartbeat};
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use learner::slots::{ConnectionId, Effect, Offer};
+use learner::lease::slots::{ConnectionId, Effect, Offer};
 use proto::{ActorId, Heartbeat, Incarnation, Reason, Work};
 
 use crate::table::{
@@ -164,7 +164,7 @@ fn leases_of_an_iteration_end_when_the_next_one_opens() {
     assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));
 }
 
-fn lease_of(table: &mut learner::slots::SlotTable, actor: Actor) -> Held {
+fn lease_of(table: &mut learner::lease::slots::SlotTable, actor: Actor) -> Held {
     table.effects();
     lease(table, actor)
 }

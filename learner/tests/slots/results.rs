@@ -1,6 +1,6 @@
 //! Accepted, repeated and refused results, and results that contradict each other.
 
-use learner::slots::{ConnectionId, Effect, Part, SlotTable, Trust};
+use learner::lease::slots::{ConnectionId, Effect, Part, SlotTable, Trust};
 use proto::{AckState, ActorId, Digest, PolicyVersion, Reason};
 
 use crate::table::{Actor, CHUNKS, actor, complete, lease, push, push_as, table};

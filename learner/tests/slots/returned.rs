@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use learner::slots::{Effect, Offer, SlotTable};
+use learner::lease::slots::{Effect, Offer, SlotTable};
 use proto::{
     EnvironmentStart, LeaseFailure, LeasedWork, ReturnedLease, RolloutOrigin, RolloutWork, Start,
 };

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use learner::slots::{Incident, Offer, SlotTable};
+use learner::lease::slots::{Incident, Offer, SlotTable};
 
 use crate::table::{
     Actor, TTL, actor_of, beat, complete, lease, push, slot, table, weights, works,

@@ -3,8 +3,8 @@
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-use learner::sample::SecretSample;
-use learner::slots::{ConnectionId, Effect, Offer, ResultPart, SlotRules, SlotTable, Trust};
+use learner::lease::sample::SecretSample;
+use learner::lease::slots::{ConnectionId, Effect, Offer, ResultPart, SlotRules, SlotTable, Trust};
 use proto::{
     Ack, ActorId, Digest, EnvironmentStart, EvaluationResult, Heartbeat, Incarnation, Lease,
     PolicyVersion, ProcessId, PushHeader, Refusal, RolloutWork, Start, TrajectoryChunk,

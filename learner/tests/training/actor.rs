@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use learner::Exchange;
-use learner::check::Expected;
-use learner::slots::{ConnectionId, ResultPart};
+use learner::lease::check::Expected;
+use learner::lease::exchange::Exchange;
+use learner::lease::slots::{ConnectionId, ResultPart};
 use policy::PolicySnapshot;
 use proto::{
     Ack, Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Refusal, Registration, RunDescription,

@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
-use learner::assemble::problem;
-use learner::canary::{self, Extent};
-use learner::exchange::Caller;
-use learner::slots::ConnectionId;
-use learner::{AuditConfig, Exchange, Fingerprint, LeaseConfig, launch};
+use learner::config::{AuditConfig, Fingerprint, LeaseConfig};
+use learner::launch;
+use learner::lease::canary::{self, Extent};
+use learner::lease::exchange::{Caller, Exchange};
+use learner::lease::slots::ConnectionId;
+use learner::train::assemble::problem;
 use policy::{CoreKind, PolicySnapshot};
 use proto::{
     EnvironmentStart, Lease, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, Registered,

@@ -3,8 +3,11 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use learner::trainer::Outside;
-use learner::{Event, Exchange, Launch, launch};
+use learner::launch;
+use learner::launch::Launch;
+use learner::lease::exchange::Exchange;
+use learner::observe::event::Event;
+use learner::train::trainer::Outside;
 
 use crate::actor::Actors;
 use crate::settings::launch_in;

@@ -1,9 +1,11 @@
 //! Encoded states of environments: those of an actor are checked before they count, and a run goes on from a checkpoint with
 //! invalid ones.
 
-use learner::end_states::StateReader;
-use learner::slots::ConnectionId;
-use learner::{AuditConfig, Exchange, Fingerprint, LeaseConfig, launch};
+use learner::config::{AuditConfig, Fingerprint, LeaseConfig};
+use learner::launch;
+use learner::lease::end_states::StateReader;
+use learner::lease::exchange::Exchange;
+use learner::lease::slots::ConnectionId;
 use proto::{
     EnvironmentStart, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, RolloutWork, Start,
     TrajectoryChunk,
@@ -19,7 +21,7 @@ fn answer(change: impl Fn(&mut TrajectoryChunk)) -> Option<Refusal> {
     let (trainer, run) = launch::prepare(launch_in(folder.path(), 1)).unwrap();
     drop(trainer);
     let launch = launch_in(folder.path(), 1);
-    let problem = learner::assemble::problem(&launch.environment);
+    let problem = learner::train::assemble::problem(&launch.environment);
     let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
     let policy = algorithm.snapshot().unwrap();
     let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };

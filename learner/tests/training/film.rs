@@ -1,7 +1,8 @@
 //! Films of evaluation episodes in the exchange.
 
-use learner::exchange::FilmedEpisode;
-use learner::{Exchange, launch};
+use learner::launch;
+use learner::lease::exchange::Exchange;
+use learner::observe::snapshot::FilmedEpisode;
 use proto::{
     Digest, EvaluationResult, Film, Incarnation, LeaseId, PolicyVersion, PushHeader, WeightsName,
 };

@@ -14,10 +14,14 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use learner::checkpoint::load_newest;
-use learner::run_folder::RunFolderError;
-use learner::trainer::Outside;
-use learner::{Event, Exchange, Launch, LearnerError, Summary, launch};
+use learner::error::LearnerError;
+use learner::launch;
+use learner::launch::Launch;
+use learner::lease::exchange::Exchange;
+use learner::observe::event::{Event, Summary};
+use learner::store::checkpoint::load_newest;
+use learner::store::run_folder::RunFolderError;
+use learner::train::trainer::Outside;
 use serde_json::Value;
 
 use actor::Actors;

@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use learner::{
+use learner::config::{
     AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint,
-    Launch, LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
+    LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
 };
+use learner::launch::Launch;
 use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, RunSeed};
 use proto::Digest;
 use serde_json::json;

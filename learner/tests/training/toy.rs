@@ -1,7 +1,7 @@
 //! A toy environment for two agents, and its rollouts. Two points move on one line each; each agent pushes one of them
 //! to its target.
 
-use learner::end_states::StateReader;
+use learner::lease::end_states::StateReader;
 use policy::{
     ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator, standard_normal,
 };

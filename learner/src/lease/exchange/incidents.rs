@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 
 use proto::{ActorId, LeaseFailure, LeaseStatus, LeasedWork, Refusal};
 
-use crate::slots::{ConnectionId, Incident};
+use crate::lease::slots::{ConnectionId, Incident};
 
 /// The peer of a call, and the call, for the log.
 #[derive(Clone, Copy, Debug)]

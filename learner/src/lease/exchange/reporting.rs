@@ -7,11 +7,10 @@ use proto::{EvaluationResult, Film, LeaseStatus, LeasedWork, PushHeader, RunEnd,
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use crate::event::Event;
-use crate::exchange::{Exchange, Shared};
-use crate::slots::Counts;
-use crate::snapshot::{FilmedEpisode, RunSnapshot};
-use crate::trainer::Summary;
+use crate::lease::exchange::{Exchange, Shared};
+use crate::lease::slots::Counts;
+use crate::observe::event::{Event, Summary};
+use crate::observe::snapshot::{FilmedEpisode, RunSnapshot};
 
 /// Whether checkpoints reach the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,9 +3,9 @@
 use proto::{Ack, AckState, LeaseId, PushHeader, Reason, Refusal, ReturnedLease, Work};
 
 use super::{Caller, Exchange};
-use crate::canary::Extent;
-use crate::check::{Check, Expected};
-use crate::slots::{ConnectionId, Preview, ResultPart};
+use crate::lease::canary::Extent;
+use crate::lease::check::{Check, Expected};
+use crate::lease::slots::{ConnectionId, Preview, ResultPart};
 
 impl Exchange {
     /// Whether an actor of this connection holds a lease.

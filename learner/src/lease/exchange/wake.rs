@@ -2,7 +2,7 @@
 
 use proto::{PolicyVersion, RolloutOrigin};
 
-use crate::slots::{Disagreement, EvaluationOutcome, SlotRollout};
+use crate::lease::slots::{Disagreement, EvaluationOutcome, SlotRollout};
 
 /// Why the trainer woke up.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use proto::{PolicyVersion, Reason, Refusal, WeightsName};
 
-use crate::published::Published;
+use crate::lease::published::Published;
 
 /// Versions kept although no open work names them: the one just published, and the one before it.
 const LATEST: usize = 2;

@@ -10,24 +10,14 @@ use super::actors::{Owner, Process};
 use super::disagreement::{Computed, Disagreement};
 use super::leases::{Claim, Claimed, OpenLease};
 use super::works::Group;
-use crate::sample::SecretSample;
+use crate::lease::sample::SecretSample;
+use crate::observe::snapshot::AuditCounts;
 
 /// Audits of slots that wait for an actor or are computed. When one more comes, the oldest without a lease is skipped.
 const MOST_OPEN: usize = 8;
 
 /// Added to an episode's number in the sample, so that episodes are selected regardless of the slots.
 const EPISODES: u64 = 1 << 32;
-
-/// Results of all audits so far, of slots and of episodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct AuditCounts {
-    /// Both results were equal.
-    pub agreed: u64,
-    /// The results differed; the run stops at the first.
-    pub disagreed: u64,
-    /// No other actor had time for it.
-    pub skipped: u64,
-}
 
 /// The open audits, the oldest first.
 #[derive(Debug)]

@@ -11,7 +11,7 @@ use proto::{
 
 use super::actors::Owner;
 use super::works::{Key, environments};
-use crate::end_states::{Course, follow};
+use crate::lease::end_states::{Course, follow};
 
 /// A lease without progress for this many times to live is no longer extended by heartbeats.
 const PATIENCE_IN_TTLS: u32 = 6;

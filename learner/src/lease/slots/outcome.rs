@@ -7,7 +7,8 @@ use proto::{
     RolloutOrigin, TrajectoryChunk,
 };
 
-use super::{AuditCounts, Disagreement};
+use super::Disagreement;
+use crate::observe::snapshot::AuditCounts;
 
 /// A complete slot.
 #[derive(Clone, Debug, PartialEq)]

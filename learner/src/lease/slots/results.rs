@@ -11,7 +11,7 @@ use super::disagreement::Computed;
 use super::leases::{Claim, OpenLease, ResultPart};
 use super::works::{Completion, Group, Key};
 use super::{ConnectionId, Effect, SlotTable, Trust};
-use crate::end_states::Course;
+use crate::lease::end_states::Course;
 
 /// An evaluation waits this many times to live for the audit of an episode, or three times the episode's own time if that is
 /// longer. After one, the audit comes before all other work.

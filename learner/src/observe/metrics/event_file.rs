@@ -9,7 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde_json::Value;
 
 use super::tags::scalars;
-use crate::durable::{self, FileError};
+use crate::store::durable::{self, FileError};
 
 /// Prefix by which TensorBoard recognises event files.
 const NAME: &str = "events.out.tfevents.";

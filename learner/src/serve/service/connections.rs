@@ -19,11 +19,11 @@ use tonic::{Request, Status};
 
 use super::handshake::{Accepted, ByteStream, accept_handshake};
 use super::registry::{Admission, OF_ONE_ADDRESS, Registry};
-use crate::accepting::Accepting;
-use crate::exchange::Caller;
-use crate::listener::Listener;
-use crate::slots::ConnectionId;
-use crate::token::RequiredToken;
+use crate::lease::exchange::Caller;
+use crate::lease::slots::ConnectionId;
+use crate::serve::accepting::Accepting;
+use crate::serve::listener::Listener;
+use crate::serve::token::RequiredToken;
 
 /// Most concurrent result streams of one connection. Four threads of an actor share one, each works on at most two leases
 /// at a time.

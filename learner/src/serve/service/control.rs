@@ -9,8 +9,8 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use crate::exchange::Exchange;
-use crate::service::connections::{caller, demand, demand_token};
+use crate::lease::exchange::Exchange;
+use crate::serve::service::connections::{caller, demand, demand_token};
 
 /// Lines buffered per watcher; the exchange keeps the others.
 const LINES_AHEAD: usize = 16;

@@ -9,10 +9,10 @@ use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio::sync::{Semaphore, mpsc};
 use tonic::{Code, Status, Streaming};
 
-use crate::check::Expected;
-use crate::exchange::{Caller, Exchange};
-use crate::service::bodies::Share;
-use crate::slots::{ConnectionId, ResultPart};
+use crate::lease::check::Expected;
+use crate::lease::exchange::{Caller, Exchange};
+use crate::lease::slots::{ConnectionId, ResultPart};
+use crate::serve::service::bodies::Share;
 
 /// Longest time without a complete message before the stream is closed.
 const MESSAGE_TIMEOUT: Duration = Duration::from_secs(300);

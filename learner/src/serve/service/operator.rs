@@ -9,8 +9,8 @@ use tonic::Streaming;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 
-use crate::health::{HealthError, answered, call_failed, connect};
-use crate::token::authorization;
+use crate::serve::health::{HealthError, answered, call_failed, connect};
+use crate::serve::token::authorization;
 
 /// A connection to the control service of a learner.
 #[derive(Clone, Debug)]

@@ -18,10 +18,10 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{COMPILED, bodies, connections, deadline, reflection, server};
-use crate::exchange::Caller;
-use crate::listener::Listener;
-use crate::published::Published;
-use crate::team::Team;
+use crate::lease::exchange::Caller;
+use crate::lease::published::Published;
+use crate::serve::listener::Listener;
+use crate::serve::team::Team;
 
 /// Actors register with learners only.
 const NO_ACTORS: usize = 0;

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use proto::{Reason, Refusal};
 use tokio::sync::oneshot;
 
-use crate::slots::ConnectionId;
+use crate::lease::slots::ConnectionId;
 
 /// Most connections without an actor.
 const WITHOUT_ACTOR: usize = 256;

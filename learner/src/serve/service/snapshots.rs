@@ -12,7 +12,7 @@ use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use crate::exchange::Caller;
+use crate::lease::exchange::Caller;
 
 /// Longest time for the actor to receive a piece before the stream is closed.
 const PIECE_TIMEOUT: Duration = Duration::from_secs(30);

@@ -4,7 +4,7 @@ use tokio::sync::watch;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use crate::exchange::Storage;
+use crate::lease::exchange::Storage;
 
 /// Name of the health service's entry for checkpoints; `NOT_SERVING` while they fail.
 pub const STORAGE: &str = "s2mia.v1.Storage";

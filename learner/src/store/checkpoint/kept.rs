@@ -6,8 +6,8 @@ use std::path::Path;
 
 use super::{CheckpointError, LATEST, MANIFEST, POLICY, SETTINGS, name};
 use crate::config::CheckpointConfig;
-use crate::durable::{self, DRAFT, FileError};
-use crate::plain_file;
+use crate::store::durable::{self, DRAFT, FileError};
+use crate::store::plain_file;
 
 /// Name of the folder of checkpoints in a run folder.
 pub(crate) const FOLDER: &str = "checkpoints";

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-use crate::durable::FileError;
+use crate::store::durable::FileError;
 
 /// A step of writing a checkpoint, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,8 +6,8 @@ use proto::Digest;
 use serde_json::Value;
 
 use super::RunFolderError;
-use crate::durable::{self, FileError};
-use crate::plain_file;
+use crate::store::durable::{self, FileError};
+use crate::store::plain_file;
 
 /// Manifest field: hash of the manifest with this field empty.
 const MANIFEST_SHA256: &str = "manifest_sha256";
@@ -44,7 +44,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::run_folder::RunFolder;
+    use crate::store::run_folder::RunFolder;
 
     #[test]
     fn a_flipped_bit_in_any_byte_but_a_blank_is_damage() {

@@ -10,8 +10,8 @@ use super::{
     ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, METRICS, PROVENANCE, RunFolder, RunFolderError, STARTS,
     TENSORBOARD,
 };
-use crate::durable::{self, DRAFT, FileError};
-use crate::{checkpoint, plain_file};
+use crate::store::durable::{self, DRAFT, FileError};
+use crate::store::{checkpoint, plain_file};
 
 /// Names that a run writes into its folder; drafts begin with [`DRAFT`].
 const OWN: [&str; 11] = [

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use security::Token;
 
 use super::{RunFolder, RunFolderError};
-use crate::durable::{self, FileError};
-use crate::plain_file;
+use crate::store::durable::{self, FileError};
+use crate::store::plain_file;
 
 /// The token that the learner of the latest start requires.
 pub(super) const TOKEN: &str = "token";

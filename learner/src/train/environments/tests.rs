@@ -3,7 +3,7 @@
 use proto::{ActorId, LeaseId, SlotEnd, TrajectoryChunk};
 
 use super::*;
-use crate::assemble::tests::run_of_one_agent;
+use crate::train::assemble::tests::run_of_one_agent;
 
 /// Two environments of one agent with 2 recurrent units, whose episodes have this many steps.
 fn fresh(episode_steps: u32, phase: Phase) -> Environments {

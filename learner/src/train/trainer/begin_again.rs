@@ -4,7 +4,7 @@ use std::path::Path;
 
 use proto::{RolloutOrigin, RolloutWork};
 
-use crate::trainer::{RunningTrainer, Trainer};
+use crate::train::trainer::{RunningTrainer, Trainer};
 
 impl RunningTrainer {
     /// Begins new episodes in the environments of a slot of the open iteration.

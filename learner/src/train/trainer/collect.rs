@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 use proto::WeightsName;
 
 use crate::error::LearnerError;
-use crate::event::{EvaluationReport, Event, Spread, Stage};
-use crate::exchange::{EvaluationOutcome, SlotRollout, Wake};
-use crate::snapshot::RunSnapshot;
-use crate::trainer::RunningTrainer;
+use crate::lease::exchange::Wake;
+use crate::lease::slots::{EvaluationOutcome, SlotRollout};
+use crate::observe::event::{EvaluationReport, Event, Spread, Stage};
+use crate::observe::snapshot::RunSnapshot;
+use crate::train::trainer::RunningTrainer;
 
 /// Interval at which the trainer checks whether to stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);

@@ -1,6 +1,6 @@
 //! Reports that simulated environments diverge: each such step ends an episode early, and a policy learns from what is left.
 
-use crate::trainer::RunningTrainer;
+use crate::train::trainer::RunningTrainer;
 
 /// Share of an iteration's steps above which divergence is an error: few episodes reach their end.
 const SEVERE: f64 = 0.01;

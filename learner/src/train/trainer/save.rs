@@ -7,12 +7,12 @@ use std::time::Instant;
 use marl::State as _;
 use policy::arrays::{Array, NamedArrays};
 
-use crate::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
 use crate::error::LearnerError;
-use crate::event::{Event, Stage, WrittenCheckpoint};
-use crate::exchange::Storage;
+use crate::lease::exchange::Storage;
+use crate::observe::event::{Event, Stage, WrittenCheckpoint};
+use crate::store::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
 use crate::train::fail_points;
-use crate::trainer::{RunningTrainer, Trainer};
+use crate::train::trainer::{RunningTrainer, Trainer};
 
 impl RunningTrainer {
     /// Writes a checkpoint every `checkpoint.every` iterations. A failed one is logged as an error and retried after

@@ -12,9 +12,9 @@ use security::ServerTls;
 use serde_json::Value;
 use tokio::net::TcpListener;
 
-use crate::exchange::Exchange;
 use crate::launch::Launch;
-use crate::metrics::Curves;
+use crate::lease::exchange::Exchange;
+use crate::observe::metrics::Curves;
 
 pub use hosts::{Hosts, NotAHost};
 pub(crate) use server::serve;

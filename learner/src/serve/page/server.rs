@@ -31,7 +31,7 @@ use tokio::task::JoinSet;
 use tokio_rustls::TlsAcceptor;
 
 use super::{Hosts, Overlay, Page, RunView, answers, exposition};
-use crate::accepting::Accepting;
+use crate::serve::accepting::Accepting;
 
 /// The page with its script and style.
 const PAGE: &str = include_str!("page.html");

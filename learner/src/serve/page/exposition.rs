@@ -4,9 +4,8 @@ use std::collections::BTreeSet;
 use std::fmt::Display;
 
 use super::{Facts, RunView};
-use crate::event::Stage;
-use crate::slots::AuditCounts;
-use crate::snapshot::RunSnapshot;
+use crate::observe::event::Stage;
+use crate::observe::snapshot::{AuditCounts, RunSnapshot};
 
 /// Content type of [`text`].
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

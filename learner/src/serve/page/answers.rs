@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde_json::{Map, Value, json};
 
 use super::{OverlaidRun, Overlay, RunView};
-use crate::exchange::status_json;
-use crate::metrics::Curves;
+use crate::lease::exchange::status_json;
+use crate::observe::metrics::Curves;
 
 /// Constants of the run.
 pub(super) fn run(view: &RunView) -> Value {
