@@ -13,7 +13,7 @@ const SLOTS_PER_THREAD: usize = 2;
 /// Most environments of a slot that is cut to the actor threads: more share a message, but one failure loses them all.
 const MOST_PER_SLOT: usize = 10;
 
-/// Everything the learner is told besides the algorithm.
+/// The learner's settings besides the algorithm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {

@@ -1,4 +1,4 @@
-//! Why a run could not start, go on or end.
+//! Why a run could not start, continue or end.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use crate::store::checkpoint::CheckpointError;
 use crate::store::durable::FileError;
 use crate::store::run_folder::RunFolderError;
 
-/// Why a run could not start, go on or end.
+/// Why a run could not start, continue or end.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
     /// A setting is outside its range.

@@ -59,7 +59,7 @@ pub struct Launch {
     pub build: String,
     /// An object with more fields for the run folder's manifest.
     pub manifest: Value,
-    /// Whether to go on with the run in the folder.
+    /// Whether to resume the run in the folder.
     pub resume: bool,
 }
 
@@ -79,13 +79,13 @@ impl Launch {
         self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
     }
 
-    /// What actors would be told if a slot had one environment.
+    /// The description that actors would get if a slot had one environment.
     #[must_use]
     pub fn smallest_description(&self) -> RunDescription {
         self.with_slots_of(1, Incarnation(0))
     }
 
-    /// What actors are told about this start of the run. Slots are as large as its messages allow.
+    /// The description of this start of the run for actors. Slots are as large as its messages allow.
     fn description(&self, incarnation: Incarnation) -> RunDescription {
         let sizes = self.config.environments.slot_sizes();
         let fits = |size: &usize| self.with_slots_of(*size, incarnation).validate().is_ok();
@@ -166,13 +166,14 @@ pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError
 }
 
 fn claim(launch: &Launch) -> Result<RunFolder, RunFolderError> {
-    match launch.resume {
-        true => RunFolder::claim_existing(&launch.folder, &launch.config_sha256.to_string()),
-        false => RunFolder::claim_new(&launch.folder),
+    if launch.resume {
+        RunFolder::claim_existing(&launch.folder, &launch.config_sha256.to_string())
+    } else {
+        RunFolder::claim_new(&launch.folder)
     }
 }
 
-/// The checkpoint to go on from; none for a new run, and for one that ended before its first.
+/// The checkpoint to resume from; `None` for a new run, and for one that ended before its first.
 fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, LearnerError> {
     if !launch.resume {
         return Ok(None);

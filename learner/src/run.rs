@@ -17,8 +17,8 @@ use crate::serve::page::{self, Facts, Page, RunView};
 use crate::serve::service;
 use crate::train::trainer::{Observer, Outside, RunningTrainer, Trainer};
 
-/// How long actors have to hear that the run is over.
-const FAREWELL: Duration = Duration::from_secs(2);
+/// How long the learner waits for actors to disconnect after the run.
+const NOTIFYING: Duration = Duration::from_secs(2);
 
 /// How long open connections have to end after that.
 const CLOSING: Duration = Duration::from_secs(1);
@@ -28,10 +28,10 @@ const CLOSING: Duration = Duration::from_secs(1);
 /// run that is complete or that a client stopped; after `stop` they wait for the next learner. A `page` shows the run meanwhile.
 ///
 /// # Errors
-/// Says what could not start or broke; a resume goes on from the last checkpoint.
+/// Says what could not start or broke; a resume continues from the last checkpoint.
 pub async fn run(
     launch: Launch,
-    door: impl Into<Listener>,
+    listener: impl Into<Listener>,
     page: Option<Page>,
     observer: Observer,
     stop: watch::Receiver<bool>,
@@ -42,10 +42,10 @@ pub async fn run(
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
         prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
-    let door = door.into();
-    let address = door.listener.local_addr();
+    let listener = listener.into();
+    let address = listener.listener.local_addr();
     let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
-    let token = door.token.as_ref().map(|required| &required.token);
+    let token = listener.token.as_ref().map(|required| &required.token);
     trainer.folder.note_token(token)?;
     trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease, audit, states);
@@ -58,16 +58,16 @@ pub async fn run(
     let outside = Outside { exchange: Arc::clone(&exchange), observer, stop: Box::new(stop) };
     // The first answer to a client already has the figures of the run.
     let running = trainer.begin(outside)?;
-    let server = Server::start(door, connections, &exchange, broken);
+    let server = Server::start(listener, connections, &exchange, broken);
     let result = on_own_thread(running).await;
     let complete = result.as_ref().is_ok_and(|summary| !summary.stopped_early);
     // After a signal actors wait for the next learner: it may be a restart.
     let actors_end = complete || exchange.is_stop_requested();
     exchange.show_end(result.as_ref().ok());
-    let served = match actors_end {
-        true => server.bid_farewell(&exchange).await.close().await,
-        false => server.close().await,
-    };
+    if actors_end {
+        notify_actors(&exchange).await;
+    }
+    let served = server.close().await;
     result.and_then(|summary| served.map(|()| summary))
 }
 
@@ -87,17 +87,17 @@ struct Server {
 }
 
 impl Server {
-    /// `broken` becomes true when the service ends, also before it was told to.
+    /// `broken` becomes true when the service ends, also on its own.
     fn start(
-        door: Listener,
+        listener: Listener,
         connections: usize,
         exchange: &Arc<Exchange>,
         broken: Arc<AtomicBool>,
     ) -> Self {
         let (close, closed) = oneshot::channel::<()>();
-        let serving = service::serve(Arc::clone(exchange), door, connections, async move {
+        let serving = service::serve(Arc::clone(exchange), listener, connections, async move {
             // An error means that the sender is gone, which ends the service as well.
-            let _told = closed.await;
+            let _closed = closed.await;
         });
         let task = tokio::spawn(async move {
             let result = serving.await;
@@ -107,21 +107,8 @@ impl Server {
         Self { task, close }
     }
 
-    /// Lets actors hear that the run is done.
-    async fn bid_farewell(self, exchange: &Exchange) -> Self {
-        exchange.finish();
-        let farewell = async {
-            while exchange.run_snapshot().status.actors > 0 {
-                tokio::time::sleep(Duration::from_millis(20)).await;
-            }
-        };
-        // Actors that do not come back for an answer find a closed door, which they survive.
-        let _left = tokio::time::timeout(FAREWELL, farewell).await;
-        self
-    }
-
     async fn close(mut self) -> Result<(), LearnerError> {
-        let _told = self.close.send(());
+        let _sent = self.close.send(());
         match tokio::time::timeout(CLOSING, &mut self.task).await {
             Ok(Ok(Ok(()))) => Ok(()),
             Ok(Ok(Err(error))) => Err(LearnerError::Service(error.to_string())),
@@ -134,11 +121,23 @@ impl Server {
     }
 }
 
+/// Answers requests for work that the run is done, until all actors have disconnected.
+async fn notify_actors(exchange: &Exchange) {
+    exchange.finish();
+    let disconnected = async {
+        while exchange.run_snapshot().status.actors > 0 {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    // Actors that do not ask again find a closed connection and exit as well.
+    let _timeout = tokio::time::timeout(NOTIFYING, disconnected).await;
+}
+
 async fn on_own_thread(trainer: RunningTrainer) -> Result<Summary, LearnerError> {
     let (sender, ended) = oneshot::channel();
     let thread = std::thread::Builder::new().name("trainer".to_owned()).spawn(move || {
-        // Nobody is left to hear the result only if the whole run has been dropped.
-        let _heard = sender.send(trainer.train());
+        // Sending fails only if the whole run has been dropped.
+        let _sent = sender.send(trainer.train());
     });
     let thread = thread.map_err(|error| LearnerError::Threads {
         what: "the trainer",

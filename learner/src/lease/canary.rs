@@ -101,9 +101,10 @@ impl Replay<'_> {
                 self.same_log_probs(block, step, &replayed.output)?;
             }
             let own = block * width..(block + 1) * width;
-            let next = match block + 1 == self.blocks() {
-                true => self.end,
-                false => Some(&self.rows.hidden[own.end..own.end + width]),
+            let next = if block + 1 == self.blocks() {
+                self.end
+            } else {
+                Some(&self.rows.hidden[own.end..own.end + width])
             };
             let after = (block + 1) * self.every;
             next.map_or(Ok(()), |next| self.same_state(after, &replayed.hidden[own], next))?;

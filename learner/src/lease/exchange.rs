@@ -16,7 +16,7 @@ use tokio::sync::{Notify, watch};
 use crate::config::{AuditConfig, LeaseConfig};
 use crate::lease::canary;
 use crate::lease::end_states::StateReader;
-use crate::lease::published::Published;
+use crate::lease::published::{Published, Weights};
 use crate::lease::sample::SecretSample;
 use crate::lease::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 use crate::observe::snapshot::RunSnapshot;
@@ -25,14 +25,12 @@ mod incidents;
 mod reporting;
 mod results;
 mod wake;
-mod weights;
 
 pub use incidents::Caller;
 use incidents::{Names, Notice};
 use reporting::Pace;
 pub use reporting::{Storage, status_json};
 pub use wake::{ExchangeError, Wake};
-use weights::Weights;
 
 /// How long an actor that gets no work waits before it asks again.
 const RETRY: Duration = Duration::from_millis(100);

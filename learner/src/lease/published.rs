@@ -1,9 +1,15 @@
-//! One version of all agents' policies: the bytes that travel, and what they hold.
+//! Published versions of all agents' policies: the bytes that travel and what they hold, and which versions are held.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use policy::snapshot::{Repeat, repeats};
 use policy::{ActorPolicy, Head, PolicySnapshot};
-use proto::{AgentSpec, Digest, PolicyVersion, WeightsName};
+use proto::{AgentSpec, Digest, PolicyVersion, Reason, Refusal, WeightsName};
+
+/// Versions kept although no open work names them: the one just published, and the one before it.
+const LATEST: usize = 2;
 
 /// One version.
 #[derive(Debug)]
@@ -52,5 +58,57 @@ impl Published {
         let repeats = repeats(&bytes).map_err(|error| error.to_string())?;
         let digest = Digest(policy::digest(&bytes));
         Ok(Self { name: WeightsName { version, digest }, bytes, repeats, policy })
+    }
+}
+
+/// Published versions that are still held.
+#[derive(Debug, Default)]
+pub(crate) struct Weights {
+    held: BTreeMap<PolicyVersion, Arc<Published>>,
+    latest: VecDeque<PolicyVersion>,
+}
+
+impl Weights {
+    pub(crate) fn insert(&mut self, published: Published) {
+        let version = published.name.version;
+        self.held.insert(version, Arc::new(published));
+        self.latest.retain(|other| *other != version);
+        self.latest.push_back(version);
+        if self.latest.len() > LATEST {
+            self.latest.pop_front();
+        }
+    }
+
+    /// Drops what is neither recent nor named by open work.
+    pub(crate) fn prune(&mut self, in_use: impl Iterator<Item = WeightsName>) {
+        let in_use = in_use.map(|name| name.version).collect::<BTreeSet<_>>();
+        let latest = &self.latest;
+        self.held.retain(|version, _| in_use.contains(version) || latest.contains(version));
+    }
+
+    /// The newest version, which there is once an iteration has been opened.
+    pub(crate) fn newest(&self) -> Option<PolicyVersion> {
+        self.held.keys().next_back().copied()
+    }
+
+    /// Size of the newest version.
+    pub(crate) fn newest_bytes(&self) -> u64 {
+        self.held.values().next_back().map_or(0, |newest| newest.bytes.len() as u64)
+    }
+
+    pub(crate) fn find(&self, name: WeightsName) -> Result<Arc<Published>, Refusal> {
+        let held = self.held.get(&name.version).filter(|held| held.name == name);
+        held.cloned().ok_or_else(|| {
+            let detail =
+                format!("version {} with SHA-256 {} is not held", name.version, name.digest);
+            Refusal::new(Reason::UnknownWeights, "weights", detail)
+        })
+    }
+
+    /// The name of a version that the trainer has published.
+    pub(crate) fn expect(&self, version: PolicyVersion) -> WeightsName {
+        let held = self.held.keys().collect::<Vec<_>>();
+        let published = self.held.get(&version);
+        published.unwrap_or_else(|| panic!("weights {version} are not held, only {held:?}")).name
     }
 }

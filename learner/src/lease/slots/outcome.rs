@@ -45,7 +45,7 @@ pub struct EvaluationOutcome {
 /// What the table wants done.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
-    /// Work came free, or the run's state changed: wake whoever waits for a lease.
+    /// Work came free, or the run's state changed: tasks that wait for a lease are woken.
     WorkFreed,
     /// The open iteration is complete, ordered by slot.
     Iteration(Vec<SlotRollout>),

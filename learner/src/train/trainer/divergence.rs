@@ -33,10 +33,8 @@ impl Divergence {
             return None;
         }
         self.iterations += 1;
-        let severity = match faults as f64 > SEVERE * steps as f64 {
-            true => Severity::Severe,
-            false => Severity::Some,
-        };
+        let severity =
+            if faults as f64 > SEVERE * steps as f64 { Severity::Severe } else { Severity::Some };
         let line = format!(
             "the simulation diverged in {faults} of the {steps} environment steps of iteration {iteration}: the robot's \
              state left its bounds, which ended the episodes early (environment_faults); {remedy}"
@@ -75,8 +73,8 @@ mod tests {
         assert_eq!(severity, Severity::Severe);
         assert!(line.contains("200 of the 200 environment steps of iteration 2"), "{line}");
         assert!(line.ends_with("; lower it"), "{line}");
-        let told = (3..10).filter(|k| divergence.report(*k, (1, 200), "").is_some());
-        assert_eq!(told.collect::<Vec<_>>(), [3, 5, 9]);
+        let reported = (3..10).filter(|k| divergence.report(*k, (1, 200), "").is_some());
+        assert_eq!(reported.collect::<Vec<_>>(), [3, 5, 9]);
         assert_eq!(Divergence::default().report(1, (1, 200), "").unwrap().0, Severity::Some);
     }
 }
