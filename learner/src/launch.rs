@@ -16,7 +16,7 @@ use crate::lease::sample::random_number;
 use crate::observe::metrics::Metrics;
 use crate::store::checkpoint::{self, CheckpointError, Loaded};
 use crate::store::run_folder::{RunFolder, RunFolderError};
-use crate::train::assemble::{Layout, problem};
+use crate::train::assemble::problem;
 use crate::train::environments::Environments;
 use crate::train::evaluation::Evaluations;
 use crate::train::provenance::Provenance;

@@ -28,7 +28,7 @@ use crate::observe::event::{Event, IterationReport, Stage, Summary};
 use crate::observe::metrics::Metrics;
 use crate::store::checkpoint::{self, Saved};
 use crate::store::run_folder::RunFolder;
-use crate::train::assemble::{Layout, assemble};
+use crate::train::assemble::assemble;
 use crate::train::environments::Environments;
 use crate::train::evaluation::{Evaluated, Evaluations};
 use crate::train::fail_points;

@@ -1,20 +1,20 @@
 //! Messages over the wrong connection, and slots that two actors compute: backups of slow slots, and audits.
 
-use std::time::Duration;
-
-use learner::lease::slots::{ConnectionId, Effect, Offer, Part};
+use learner::lease::slots::{ConnectionId, Effect, Offer, Part, SlotTable};
 use learner::observe::snapshot::AuditCounts;
-use proto::{AckState, Digest, Heartbeat, Reason};
+use proto::{AckState, Heartbeat, Reason};
 
 use crate::table::{
-    Held, INCARNATION, TTL, actor, actor_of, audited_table, complete, lease, push, push_as, slot,
-    table, weights, works,
+    Actor, Held, INCARNATION, OTHER, TTL, actor, actor_of, audited_table, beat, complete, lease,
+    push, push_as, second, slot, table, weights, works,
 };
 
-const OTHER: Digest = Digest([66; 32]);
-
-fn second(count: u64) -> Duration {
-    Duration::from_secs(count)
+/// Sends heartbeats for longer than a time to live.
+fn stay_alive(table: &mut SlotTable, actor: Actor, lease: &Held) {
+    for time in [15, 30] {
+        table.tick(second(time));
+        assert!(beat(table, actor, lease, 1));
+    }
 }
 
 #[test]
@@ -72,12 +72,7 @@ fn a_slot_continues_when_one_of_its_two_leases_ends() {
     let mut table = table(1);
     let (slow, quick) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, slow);
-    let beat =
-        Heartbeat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
-    for time in [15, 30] {
-        table.tick(second(time));
-        assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));
-    }
+    stay_alive(&mut table, slow, &first);
     let backup = lease(&mut table, quick);
     table.disconnect(quick.connection);
     assert_eq!(push(&mut table, &backup, 0).unwrap_err().reason, Reason::UnknownLease);
@@ -90,12 +85,7 @@ fn a_process_does_not_back_up_its_own_slot_over_another_connection() {
     let mut table = table(1);
     let (slow, same) = (actor_of(&mut table, 1, 1), actor_of(&mut table, 1, 2));
     let first = lease(&mut table, slow);
-    let beat =
-        Heartbeat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
-    for time in [15, 30] {
-        table.tick(second(time));
-        assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));
-    }
+    stay_alive(&mut table, slow, &first);
     assert_eq!(same.ask(&mut table), Ok(Offer::Nothing));
     let other = actor_of(&mut table, 2, 3);
     assert_eq!(slot(&lease(&mut table, other)), 0);
@@ -186,12 +176,7 @@ fn a_slot_that_goes_on_with_its_backup_gets_no_other_backup_at_once() {
     let mut table = table(1);
     let (slow, quick, idle) = (actor(&mut table, 1), actor(&mut table, 2), actor(&mut table, 3));
     let first = lease(&mut table, slow);
-    let beat =
-        Heartbeat { actor: slow.id, incarnation: INCARNATION, lease: first.id, slot_step: 1 };
-    for time in [15, 30] {
-        table.tick(second(time));
-        assert_eq!(table.heartbeat(slow.connection, &beat), Ok(true));
-    }
+    stay_alive(&mut table, slow, &first);
     let backup = lease(&mut table, quick);
     table.disconnect(slow.connection);
     assert_eq!(idle.ask(&mut table), Ok(Offer::Nothing));

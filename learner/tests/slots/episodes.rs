@@ -1,6 +1,6 @@
 //! Evaluation episodes that two actors play: audits, and backups of slow ones. Actors that cannot be audited.
 
-use learner::lease::slots::{ConnectionId, Effect, Part, SlotRules, SlotTable, Trust};
+use learner::lease::slots::{ConnectionId, Effect, Offer, Part, SlotRules, SlotTable, Trust};
 use learner::observe::snapshot::AuditCounts;
 use proto::{Reason, Work};
 
@@ -34,11 +34,7 @@ fn an_evaluation_waits_until_another_process_has_played_its_audited_episode() {
     let first = lease(&mut table, a);
     play(&mut table, &first, 1.0).unwrap();
     assert_eq!(table.effects(), [Effect::WorkFreed]);
-    assert_eq!(
-        a.ask(&mut table),
-        Ok(learner::lease::slots::Offer::Nothing),
-        "no actor audits itself"
-    );
+    assert_eq!(a.ask(&mut table), Ok(Offer::Nothing), "no actor audits itself");
     table.disconnect(a.connection);
     table.effects();
     let audit = lease(&mut table, b);
@@ -90,7 +86,7 @@ fn a_slow_episode_gets_a_backup_whatever_steps_its_actor_claims() {
     let first = lease(&mut table, slow);
     table.tick(TTL / 2);
     assert!(beat(&mut table, slow, &first, 10));
-    assert_eq!(quick.ask(&mut table), Ok(learner::lease::slots::Offer::Nothing));
+    assert_eq!(quick.ask(&mut table), Ok(Offer::Nothing));
     assert_eq!(table.next_deadline(), Some(TTL));
     table.tick(TTL);
     let backup = lease(&mut table, quick);

@@ -1,17 +1,11 @@
 //! Granting, renewal and expiry of leases.
 
-use std::time::Duration;
-
 use learner::lease::slots::{ConnectionId, Effect, Offer};
 use proto::{ActorId, Heartbeat, Incarnation, Reason, Work};
 
 use crate::table::{
-    Actor, Held, INCARNATION, TTL, actor, complete, lease, play, push, slot, table, weights, works,
+    INCARNATION, TTL, actor, beat, complete, lease, play, push, second, slot, table, weights, works,
 };
-
-fn second(count: u64) -> Duration {
-    Duration::from_secs(count)
-}
 
 #[test]
 fn the_lowest_free_slot_is_leased_first() {
@@ -63,15 +57,13 @@ fn heartbeats_without_chunks_extend_a_lease_only_for_a_limited_time() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
-    let beat =
-        |slot_step| Heartbeat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
     push(&mut table, &lease, 0).unwrap();
     for time in 1..8 {
         table.tick(second(15 * time));
-        assert_eq!(table.heartbeat(a.connection, &beat(5 * time as u32)), Ok(true), "{time}");
+        assert!(beat(&mut table, a, &lease, 5 * time as u32), "{time}");
     }
     table.tick(6 * TTL);
-    assert_eq!(table.heartbeat(a.connection, &beat(50)), Ok(false));
+    assert!(!beat(&mut table, a, &lease, 50));
 }
 
 #[test]
@@ -80,14 +72,12 @@ fn an_evaluation_lease_is_extended_while_steps_rise_but_not_beyond_ninety_times_
     table.open_evaluation(0, weights(), 1);
     let a = actor(&mut table, 1);
     let lease = lease(&mut table, a);
-    let beat =
-        |slot_step| Heartbeat { actor: a.id, incarnation: INCARNATION, lease: lease.id, slot_step };
     for time in 1..120 {
         table.tick(second(15 * time));
-        assert_eq!(table.heartbeat(a.connection, &beat(time as u32)), Ok(true), "{time}");
+        assert!(beat(&mut table, a, &lease, time as u32), "{time}");
     }
     table.tick(90 * TTL);
-    assert_eq!(table.heartbeat(a.connection, &beat(121)), Ok(false));
+    assert!(!beat(&mut table, a, &lease, 121));
 }
 
 #[test]
@@ -160,13 +150,9 @@ fn leases_of_an_iteration_end_when_the_next_one_opens() {
     let old = lease(&mut table, a);
     table.open_iteration(weights(), works(1, 1));
     assert_eq!(push(&mut table, &old, 0).unwrap_err().reason, Reason::UnknownLease);
-    let lease = lease_of(&mut table, a);
-    assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));
-}
-
-fn lease_of(table: &mut learner::lease::slots::SlotTable, actor: Actor) -> Held {
     table.effects();
-    lease(table, actor)
+    let lease = lease(&mut table, a);
+    assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));
 }
 
 #[test]

@@ -3,9 +3,7 @@
 use learner::lease::slots::{ConnectionId, Effect, Part, SlotTable, Trust};
 use proto::{AckState, ActorId, Digest, PolicyVersion, Reason};
 
-use crate::table::{Actor, CHUNKS, actor, complete, lease, push, push_as, table};
-
-const OTHER: Digest = Digest([66; 32]);
+use crate::table::{Actor, CHUNKS, OTHER, actor, complete, honest, lease, push, push_as, table};
 
 fn rollouts(effects: &[Effect]) -> Vec<(u32, ActorId)> {
     let [Effect::Iteration(rollouts)] = effects else { panic!("no iteration: {effects:?}") };
@@ -71,9 +69,9 @@ fn chunks_out_of_order_or_with_other_content_or_weights_are_refused() {
 fn a_result_that_agrees_with_an_unfinished_one_is_accepted() {
     let mut table = table(1);
     let probe = actor(&mut table, 1);
-    let honest = crate::table::honest(&lease(&mut table, probe), 0);
+    let digest = honest(&lease(&mut table, probe), 0);
     table.disconnect(ConnectionId(1));
-    disconnect_after(&mut table, 2, honest);
+    disconnect_after(&mut table, 2, digest);
     let a = actor(&mut table, 3);
     let lease = lease(&mut table, a);
     assert_eq!(rollouts(&complete(&mut table, &lease)), [(0, a.id)]);

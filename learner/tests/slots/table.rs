@@ -13,8 +13,14 @@ use proto::{
 
 pub(crate) const INCARNATION: Incarnation = Incarnation(11);
 pub(crate) const TTL: Duration = Duration::from_secs(20);
+/// A digest that no correct actor computes.
+pub(crate) const OTHER: Digest = Digest([66; 32]);
 /// Chunks of a slot.
 pub(crate) const CHUNKS: u32 = 3;
+
+pub(crate) fn second(count: u64) -> Duration {
+    Duration::from_secs(count)
+}
 
 pub(crate) fn weights() -> WeightsName {
     WeightsName { version: PolicyVersion(3), digest: Digest([9; 32]) }

@@ -1,49 +1,13 @@
 //! The canary recomputes log-probabilities and recurrent states that actors sent.
 
-use std::time::Duration;
-
-use learner::config::{AuditConfig, Fingerprint, LeaseConfig};
-use learner::launch;
 use learner::lease::canary::{self, Extent};
 use learner::lease::exchange::{Caller, Exchange};
 use learner::lease::slots::ConnectionId;
-use learner::train::assemble::problem;
-use policy::{CoreKind, PolicySnapshot};
-use proto::{
-    EnvironmentStart, Lease, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, Registered,
-    RolloutOrigin, RolloutWork, RunDescription, Start, TrajectoryChunk,
-};
+use policy::CoreKind;
+use proto::{PushHeader, Reason, Refusal, RolloutOrigin, TrajectoryChunk};
 
-use crate::actor::{push, registration};
-use crate::settings::launch_in;
-use crate::toy;
-
-/// Rolls out a slot in which the first environment's episode ends with step 2, in the middle of a block of two steps.
-fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
-    let folder = tempfile::tempdir().unwrap();
-    let mut launch = launch_in(folder.path(), 1);
-    launch.policy.core = core;
-    let problem = problem(&launch.environment);
-    let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
-    let policy = algorithm.snapshot().unwrap();
-    let run = launch::prepare(launch).unwrap().1;
-    let chunks = toy::roll_out(&run, &policy, &work());
-    (run, policy, chunks)
-}
-
-/// The slot.
-fn work() -> RolloutWork {
-    let start = |environment, limit| EnvironmentStart {
-        environment,
-        start: Start::Fresh { episode: 0, limit },
-    };
-    RolloutWork { iteration: 0, slot: 0, environments: vec![start(0, 3), start(1, 10)] }
-}
-
-/// The origin of the slot.
-fn origin() -> RolloutOrigin {
-    RolloutOrigin { iteration: 0, slot: 0, environments: vec![0, 1] }
-}
+use crate::actor::push;
+use crate::one_slot::{exchange, lease, origin, rolled_out};
 
 #[test]
 fn a_chunk_of_another_slot_iteration_or_environment_is_refused() {
@@ -130,11 +94,10 @@ fn outside_the_sample_only_the_first_step_of_a_chunk_is_checked() {
     }
 }
 
-/// A new actor on a connection of its own leases the slot and sends `chunk`.
+/// A new actor on a separate connection leases the slot and sends `chunk`.
 fn send(exchange: &Exchange, connection: u64, chunk: TrajectoryChunk) -> Option<Refusal> {
     let connection = ConnectionId(connection);
-    let own = exchange.register(connection, &registration(exchange.run())).unwrap();
-    let lease = lease(exchange, connection, own);
+    let lease = lease(exchange, connection);
     let header = PushHeader::of(&lease, chunk.digest(&origin()));
     let refusal = push(exchange, connection, &header, chunk).err()?;
     let caller = Caller { connection, peer: None, call: "push" };
@@ -142,23 +105,10 @@ fn send(exchange: &Exchange, connection: u64, chunk: TrajectoryChunk) -> Option<
     Some(refusal)
 }
 
-fn lease(exchange: &Exchange, connection: ConnectionId, own: Registered) -> Lease {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
-    let answer = exchange.lease(connection, own.actor, own.incarnation, Duration::ZERO);
-    match runtime.block_on(answer).unwrap() {
-        LeaseAnswer::Lease(lease) => lease,
-        other => panic!("expected a lease, got {other:?}"),
-    }
-}
-
 #[test]
 fn after_the_first_mismatch_every_chunk_of_every_actor_is_checked_whole() {
     let (run, policy, chunks) = rolled_out(CoreKind::Gru);
-    let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
-    let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
-    let exchange = Exchange::new(run, lease, audit, toy::states());
-    exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
-    exchange.open_iteration(0, PolicyVersion(0), vec![work()]);
+    let exchange = exchange(run, &policy);
     let changed = |row: usize| {
         let mut chunk = chunks[0].clone();
         chunk.agents[1].log_prob[row] += 1.0;

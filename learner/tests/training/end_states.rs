@@ -1,50 +1,25 @@
 //! Encoded states of environments: those of an actor are checked before they count, and a run goes on from a checkpoint with
 //! invalid ones.
 
-use learner::config::{AuditConfig, Fingerprint, LeaseConfig};
-use learner::launch;
 use learner::lease::end_states::StateReader;
-use learner::lease::exchange::Exchange;
 use learner::lease::slots::ConnectionId;
-use proto::{
-    EnvironmentStart, LeaseAnswer, PolicyVersion, PushHeader, Reason, Refusal, RolloutWork, Start,
-    TrajectoryChunk,
-};
+use policy::CoreKind;
+use proto::{PushHeader, Reason, Refusal, TrajectoryChunk};
 
-use crate::actor::{push, registration};
+use crate::actor::push;
+use crate::one_slot::{exchange, lease, origin, rolled_out};
 use crate::settings::{launch_in, resumed};
 use crate::{toy, train};
 
 /// The answer to the last chunk of a slot whose end states `change` has changed.
 fn answer(change: impl Fn(&mut TrajectoryChunk)) -> Option<Refusal> {
-    let folder = tempfile::tempdir().unwrap();
-    let (trainer, run) = launch::prepare(launch_in(folder.path(), 1)).unwrap();
-    drop(trainer);
-    let launch = launch_in(folder.path(), 1);
-    let problem = learner::train::assemble::problem(&launch.environment);
-    let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
-    let policy = algorithm.snapshot().unwrap();
-    let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
-    let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
-    let exchange = Exchange::new(run, lease, audit, toy::states());
-    exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
-    // The first environment's episode ends in the slot of 8 steps, the second one's does not.
-    let start = |environment, limit| EnvironmentStart {
-        environment,
-        start: Start::Fresh { episode: 0, limit },
-    };
-    let work = RolloutWork { iteration: 0, slot: 0, environments: vec![start(0, 3), start(1, 10)] };
-    exchange.open_iteration(0, PolicyVersion(0), vec![work.clone()]);
-    let connection = ConnectionId(1);
-    let own = exchange.register(connection, &registration(exchange.run())).unwrap();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
-    let asked = exchange.lease(connection, own.actor, own.incarnation, std::time::Duration::ZERO);
-    let LeaseAnswer::Lease(lease) = runtime.block_on(asked).unwrap() else { panic!("no lease") };
-    let mut chunks = toy::roll_out(exchange.run(), &policy, &work);
+    let (run, policy, mut chunks) = rolled_out(CoreKind::Gru);
+    let (exchange, connection) = (exchange(run, &policy), ConnectionId(1));
+    let lease = lease(&exchange, connection);
     change(chunks.last_mut().unwrap());
     let mut answer = None;
     for chunk in chunks {
-        let header = PushHeader::of(&lease, chunk.digest(&work.origin()));
+        let header = PushHeader::of(&lease, chunk.digest(&origin()));
         answer = push(&exchange, connection, &header, chunk).err();
     }
     answer

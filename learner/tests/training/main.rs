@@ -7,6 +7,7 @@ mod canary;
 mod cut;
 mod end_states;
 mod film;
+mod one_slot;
 mod settings;
 mod toy;
 

@@ -1,0 +1,67 @@
+//! An exchange whose only work is one slot, and the chunks of this slot.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use learner::config::{AuditConfig, Fingerprint, LeaseConfig};
+use learner::launch;
+use learner::lease::exchange::Exchange;
+use learner::lease::slots::ConnectionId;
+use learner::train::assemble::problem;
+use policy::{CoreKind, PolicySnapshot};
+use proto::{
+    EnvironmentStart, Lease, LeaseAnswer, PolicyVersion, RolloutOrigin, RolloutWork,
+    RunDescription, Start, TrajectoryChunk,
+};
+
+use crate::actor::registration;
+use crate::settings::launch_in;
+use crate::toy;
+
+/// Rolls out a slot in which the first environment's episode ends with step 2, in the middle of a block of two steps.
+pub(crate) fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut launch = launch_in(folder.path(), 1);
+    launch.policy.core = core;
+    let problem = problem(&launch.environment);
+    let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
+    let policy = algorithm.snapshot().unwrap();
+    let run = launch::prepare(launch).unwrap().1;
+    let chunks = toy::roll_out(&run, &policy, &work());
+    (run, policy, chunks)
+}
+
+/// The slot.
+pub(crate) fn work() -> RolloutWork {
+    let start = |environment, limit| EnvironmentStart {
+        environment,
+        start: Start::Fresh { episode: 0, limit },
+    };
+    RolloutWork { iteration: 0, slot: 0, environments: vec![start(0, 3), start(1, 10)] }
+}
+
+/// The origin of the slot.
+pub(crate) fn origin() -> RolloutOrigin {
+    RolloutOrigin { iteration: 0, slot: 0, environments: vec![0, 1] }
+}
+
+/// An exchange that waits for the slot.
+pub(crate) fn exchange(run: RunDescription, policy: &PolicySnapshot) -> Arc<Exchange> {
+    let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
+    let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
+    let exchange = Exchange::new(run, lease, audit, toy::states());
+    exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
+    exchange.open_iteration(0, PolicyVersion(0), vec![work()]);
+    exchange
+}
+
+/// Registers an actor on a connection and leases the slot to it.
+pub(crate) fn lease(exchange: &Exchange, connection: ConnectionId) -> Lease {
+    let own = exchange.register(connection, &registration(exchange.run())).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    let answer = exchange.lease(connection, own.actor, own.incarnation, Duration::ZERO);
+    match runtime.block_on(answer).unwrap() {
+        LeaseAnswer::Lease(lease) => lease,
+        other => panic!("expected a lease, got {other:?}"),
+    }
+}
