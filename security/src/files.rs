@@ -56,7 +56,7 @@ fn demand_validity(
     now: UnixTime,
 ) -> Result<(), SecurityError> {
     let parsed = EndEntityCert::try_from(certificate)
-        .map_err(|error| unusable(path, CERTIFICATE, error.to_string()))?;
+        .map_err(|_| unusable(path, CERTIFICATE, "it is damaged".to_owned()))?;
     // The period is checked first. There are no authorities, so the verification fails afterwards in any case.
     let verified = parsed.verify_for_usage(&[], &[], &[], now, KeyUsage::client_auth(), None, None);
     let path = path.to_path_buf();
@@ -156,7 +156,7 @@ mod tests {
         for (certificate, key, line) in [
             ("", own.key.as_str(), "own.pem holds no certificate in PEM form"),
             (&own.key, &own.key, "own.pem holds no certificate in PEM form"),
-            (damaged, &own.key, "own.pem holds a certificate that cannot be used: BadDer"),
+            (damaged, &own.key, "own.pem holds a certificate that cannot be used: it is damaged"),
             (&own.certificate, "", "own.key holds no private key in PEM form"),
             (&own.certificate, cut, "own.key holds no private key in PEM form"),
             (
