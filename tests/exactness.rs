@@ -156,7 +156,7 @@ fn play(folder: &Path, (rule, disturbance, count, threads): Cell) {
             assert!(run.wait().unwrap().success());
         }
         ActorFrozen => {
-            let lease = ["lease.ttl_secs=0.4", "lease.heartbeat_secs=0.1"];
+            let lease = ["lease.ttl_secs=0.4"];
             let mut run = start(folder, &[&settings[..], &lease].concat());
             has_begun(folder);
             let frozen = actors(&run, count)[0];

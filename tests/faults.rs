@@ -107,7 +107,7 @@ fn ends_as_undisturbed(run: &Path) {
 fn a_learner_that_is_suspended_for_twenty_seconds_keeps_its_actors_and_its_result() {
     let folder = tempfile::tempdir().unwrap();
     let run_folder = folder.path().join("run");
-    let settings = [ENDLESS, "lease.ttl_secs=1", "lease.heartbeat_secs=0.2"];
+    let settings = [ENDLESS, "lease.ttl_secs=1"];
     let mut learner = Learner::start(&run_folder, &settings.map(str::to_owned));
     let actors = ["one", "two"].map(|name| Actor::start(folder.path(), name, &learner.url, &[]));
     has_begun(&run_folder);

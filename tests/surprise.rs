@@ -1,5 +1,4 @@
-//! With a real robot's observations, the space in which surprise is measured determines whether
-//! agents share it.
+//! With a real robot's observations, what agents observe determines whether they share their surprise.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use learner::train::assemble::problem;
@@ -14,16 +13,15 @@ fn base() -> toml::Table {
     std::fs::read_to_string("configs/base.toml").unwrap().parse().unwrap()
 }
 
-fn environments(mode: &str, norm: &str) -> Box<dyn EnvironmentBatch> {
+fn environments(mode: &str) -> Box<dyn EnvironmentBatch> {
     let mut observation = base()["observation"].clone();
     let table = observation.as_table_mut().unwrap();
     table.insert("mode".into(), mode.into());
-    table.insert("norm".into(), norm.into());
+    table.insert("norm".into(), "none".into());
     let config = sim::TaskConfig {
         task: "halfcheetah-2x3".to_owned(),
         definition: None,
         observation: observation.try_into().unwrap(),
-        partition: base()["partition"]["semantics"].clone().try_into().unwrap(),
     };
     sim::environments(&config, 1).unwrap()
 }
@@ -57,40 +55,20 @@ fn shaken(environments: &mut dyn EnvironmentBatch) -> Batch {
 }
 
 /// Every agent's intrinsic rewards; the task's reward is zero.
-fn paid(environments: &mut dyn EnvironmentBatch, space: &str) -> Vec<Vec<f32>> {
-    let mut surprise = base()["surprise"].clone();
-    let table = surprise.as_table_mut().unwrap();
-    table.insert("alpha".into(), 0.01.into());
-    table.insert("space".into(), space.into());
-    let config: SurpriseConfig = surprise.try_into().unwrap();
+fn intrinsic_rewards(mode: &str) -> Vec<Vec<f32>> {
+    let mut environments = environments(mode);
+    let config = SurpriseConfig { alpha: 0.01, ..base()["surprise"].clone().try_into().unwrap() };
     let problem = problem(environments.description());
     let mut surprise = Surprise::new(&config, &problem, RunSeed(1)).unwrap();
-    let batch = shaken(environments);
+    let batch = shaken(&mut *environments);
     surprise.refit(&batch, 0).unwrap();
     surprise.relabel(&batch)
 }
 
 #[test]
-fn agents_with_full_observations_share_their_surprise_unless_it_is_local() {
-    let mut environments = environments("full_id", "feature_z");
-    for shared in ["policy_obs", "raw"] {
-        let rewards = paid(&mut *environments, shared);
-        assert_eq!(rewards[0], rewards[1], "{shared}");
-    }
-    let rewards = paid(&mut *environments, "local");
+fn agents_share_their_surprise_unless_their_observations_are_their_own() {
+    let rewards = intrinsic_rewards("full_id");
+    assert_eq!(rewards[0], rewards[1]);
+    let rewards = intrinsic_rewards("k_nearest");
     assert_ne!(rewards[0], rewards[1]);
-}
-
-#[test]
-fn raw_surprise_does_not_depend_on_the_scaling_of_observations() {
-    let raw = paid(&mut *environments("full_id", "feature_z"), "raw");
-    assert_eq!(paid(&mut *environments("full_id", "none"), "raw"), raw);
-    assert_eq!(paid(&mut *environments("full_id", "none"), "policy_obs"), raw);
-    assert_ne!(paid(&mut *environments("full_id", "feature_z"), "policy_obs"), raw);
-}
-
-#[test]
-fn local_surprise_equals_that_of_nearest_observations() {
-    let local = paid(&mut *environments("full_id", "feature_z"), "local");
-    assert_eq!(paid(&mut *environments("k_nearest", "none"), "policy_obs"), local);
 }

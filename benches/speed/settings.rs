@@ -50,11 +50,9 @@ impl Settings {
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
         ensure!(output.status.success(), "s2mia config {arguments:?}: {told}");
         let resolved: Table = String::from_utf8(output.stdout)?.parse()?;
-        let mut task = sections(&resolved, &["task", "observation"])?;
-        task.insert("partition".to_owned(), resolved["partition"]["semantics"].clone());
+        let task = sections(&resolved, &["task", "observation"])?;
         let training = ["update", "critic", "surprise", "influence", "maddpg"];
-        let learner =
-            ["environments", "lease", "audit", "evaluation", "checkpoint", "metrics", "learner"];
+        let learner = ["environments", "lease", "audit", "evaluation", "checkpoint", "learner"];
         Ok(Self {
             task: typed(task)?,
             policy: typed(resolved["policy"].clone())?,

@@ -12,8 +12,6 @@ pub(crate) fn problem(agents: usize, features: usize, joints: usize) -> Problem 
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: (0..features).collect(),
-        seen: vec![],
-        near: vec![],
     };
     Problem { agents: vec![shape; agents], state: features }
 }

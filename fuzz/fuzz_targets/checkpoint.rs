@@ -62,7 +62,7 @@ fn state(iteration: u64) -> Checkpoint {
 impl Run {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder for checkpoints");
-        let keep = CheckpointConfig { every: 1, keep_last: 2, keep_every: 0 };
+        let keep = CheckpointConfig { every: 1, keep_last: 2 };
         for iteration in [1, 2] {
             checkpoint::save(
                 folder.path(),

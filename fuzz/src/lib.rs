@@ -2,14 +2,14 @@
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden,
+    ActorNetwork, ActorPolicy, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot,
 };
 use proto::{Digest, PolicyVersion, WeightsName};
 use recording::RecordedRun;
 use rollout::EvaluationEpisode;
 use sim::{
     ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
-    PartitionSemantics, RootView, TaskConfig, TaskDefinition,
+    RootView, TaskConfig, TaskDefinition,
 };
 
 /// A robot of each kind, one of them with contact forces in its state, and the game; an input of `environment_state`
@@ -32,7 +32,6 @@ pub fn world((task, contact_forces): (&str, ContactForces)) -> Box<dyn Environme
         task: task.to_owned(),
         definition: None,
         observation: observation(contact_forces),
-        partition: PartitionSemantics::ActuatorSlices,
     };
     sim::environments(&config, 1).expect("a known task")
 }
@@ -81,7 +80,6 @@ fn hopper() -> TaskConfig {
         task: "hopper-2x1".to_owned(),
         definition: Some(definition),
         observation: observation(ContactForces::Absent),
-        partition: PartitionSemantics::ActuatorSlices,
     }
 }
 
@@ -99,9 +97,6 @@ pub fn small_policy(core: CoreKind, observation: usize, action: usize) -> ActorP
         width: 4,
         layers: 1,
         backpropagation_steps: 5,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,

@@ -27,8 +27,6 @@ pub struct Config {
     pub evaluation: EvaluationConfig,
     /// When the run is saved.
     pub checkpoint: CheckpointConfig,
-    /// In which forms metrics are written.
-    pub metrics: MetricsConfig,
     /// The learner's own machine.
     pub learner: ThreadsConfig,
 }
@@ -65,11 +63,18 @@ pub enum Phase {
 pub struct LeaseConfig {
     /// A lease ends when nothing is heard of it for this long, seconds.
     pub ttl_secs: f64,
-    /// Time between two heartbeats of an actor, seconds; less than the time to live.
-    pub heartbeat_secs: f64,
 }
 
+/// Heartbeats of an actor within the time to live of a lease: three may be lost.
+const HEARTBEATS_PER_LEASE: f64 = 4.0;
+
 impl LeaseConfig {
+    /// Time between two heartbeats of an actor, seconds.
+    #[must_use]
+    pub fn heartbeat_secs(&self) -> f64 {
+        self.ttl_secs / HEARTBEATS_PER_LEASE
+    }
+
     /// Refuses times that no run can work with.
     ///
     /// # Errors
@@ -80,8 +85,7 @@ impl LeaseConfig {
             let range = format!("{low} to {high}");
             good.then_some(()).ok_or_else(|| ConfigError { key, found: value.to_string(), range })
         };
-        within("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)?;
-        within("lease.heartbeat_secs", self.heartbeat_secs, 0.01, self.ttl_secs / 2.0)
+        within("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)
     }
 }
 
@@ -105,35 +109,13 @@ pub struct CheckpointConfig {
     pub every: u64,
     /// Newest checkpoints that stay in the run folder.
     pub keep_last: usize,
-    /// Checkpoints of the multiples of this iteration stay for ever; 0: none.
-    pub keep_every: u64,
 }
 
 impl CheckpointConfig {
-    /// Whether the checkpoint of `iteration` is never removed.
-    #[must_use]
-    pub fn stays_for_ever(&self, iteration: u64) -> bool {
-        self.keep_every > 0 && iteration.is_multiple_of(self.keep_every)
-    }
-
     fn validate(&self) -> Result<(), ConfigError> {
         within("checkpoint.every", self.every, 1, u64::MAX)?;
-        within("checkpoint.keep_last", self.keep_last as u64, 1, 1_000_000)?;
-        if self.keep_every.is_multiple_of(self.every) {
-            return Ok(());
-        }
-        let range = format!("0 or a multiple of checkpoint.every = {}", self.every);
-        let (key, found) = ("checkpoint.keep_every", self.keep_every.to_string());
-        Err(ConfigError { key, found, range })
+        within("checkpoint.keep_last", self.keep_last as u64, 1, 1_000_000)
     }
-}
-
-/// In which forms metrics are written, besides `metrics.jsonl`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MetricsConfig {
-    /// `tensorboard/events.out.tfevents.*`.
-    pub tensorboard: bool,
 }
 
 /// The learner's own machine.
@@ -177,8 +159,7 @@ impl Config {
         within("learner.connections", self.learner.connections as u64, 1, 65_536)
     }
 
-    /// Refuses slots and messages that split a window of backpropagation of `policy`, and a burn-in that leaves no step
-    /// to train on.
+    /// Refuses slots and messages that split a window of backpropagation of `policy`.
     ///
     /// # Errors
     /// Names the first key that does not fit and its range.
@@ -192,11 +173,6 @@ impl Config {
                 let range = format!("a multiple of policy.backpropagation_steps = {window}");
                 return Err(ConfigError { key, found: steps.to_string(), range });
             }
-        }
-        if policy.burn_in >= environments.steps {
-            let range = format!("less than environments.steps = {}", environments.steps);
-            let found = policy.burn_in.to_string();
-            return Err(ConfigError { key: "policy.burn_in", found, range });
         }
         Ok(())
     }
@@ -338,15 +314,6 @@ mod tests {
         let config = EnvironmentsConfig { per_slot: 0, ..config() };
         assert_eq!(config.slot_sizes(), [10, 5, 4, 2, 1]);
         assert_eq!([10, 4, 1].map(|most| config.slot_size(1, most)), [10, 4, 1]);
-    }
-
-    #[test]
-    fn checkpoints_that_would_never_be_written_cannot_be_kept() {
-        let with = |keep_every| CheckpointConfig { every: 25, keep_last: 3, keep_every };
-        assert_eq!((with(0).validate(), with(100).validate()), (Ok(()), Ok(())));
-        let message = with(40).validate().unwrap_err().to_string();
-        let range = "0 or a multiple of checkpoint.every = 25";
-        assert_eq!(message, format!("checkpoint.keep_every = 40 is out of range: {range}"));
     }
 
     #[test]

@@ -110,7 +110,7 @@ impl Launch {
             hidden_every: self.policy.backpropagation_steps as u32,
             rollout_fingerprint: self.rollout_fingerprint,
             config_sha256: self.config_sha256,
-            heartbeat_secs: self.config.lease.heartbeat_secs,
+            heartbeat_secs: self.config.lease.heartbeat_secs(),
             settings_toml: self.config_toml.clone(),
             build: self.build.clone(),
             other_builds: self.config.learner.other_builds,
@@ -217,7 +217,7 @@ fn build(
         pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
     let observations = ObservationMoments::new(launch.observations, &problem);
     let environments = &launch.config.environments;
-    let (metrics, measured) = Metrics::open(folder.path(), &launch.config.metrics, iteration)?;
+    let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
     Ok(Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(description, environments.count, environments.phase),

@@ -23,8 +23,8 @@ fn checkpoint(iteration: u64) -> Checkpoint {
     Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
 }
 
-fn keep(keep_last: usize, keep_every: u64) -> CheckpointConfig {
-    CheckpointConfig { every: 1, keep_last, keep_every }
+fn keep(keep_last: usize) -> CheckpointConfig {
+    CheckpointConfig { every: 1, keep_last }
 }
 
 struct Run(tempfile::TempDir);
@@ -43,7 +43,7 @@ impl Run {
     }
 
     fn save(&self, iteration: u64, keep_last: usize) -> Saved {
-        self.try_save(iteration, keep(keep_last, 0), &mut |_, _| Ok(())).unwrap()
+        self.try_save(iteration, keep(keep_last), &mut |_, _| Ok(())).unwrap()
     }
 
     fn try_save(
@@ -129,21 +129,11 @@ fn the_newest_checkpoints_are_kept_and_older_ones_removed() {
     assert_eq!(names, ["LATEST", "iter_00000004", "iter_00000005"]);
 }
 
-#[test]
-fn multiples_of_keep_every_are_always_kept() {
-    let run = Run::new();
-    for iteration in 1..=8 {
-        run.try_save(iteration, keep(1, 3), &mut |_, _| Ok(())).unwrap();
-    }
-    let kept = [3, 6, 8].map(|iteration| run.path(iteration));
-    assert_eq!(files(&run.folder())[1..], kept);
-}
-
 /// Saves iteration 2 on a disk that fails at step number `at`; a file is written in part before. Returns the failed
 /// step, if there are so many.
 fn failed_step(run: &Run, at: usize) -> Option<Step> {
     let (mut count, mut failed) = (0, None);
-    let saved = run.try_save(2, keep(10, 0), &mut |step, path| {
+    let saved = run.try_save(2, keep(10), &mut |step, path| {
         count += 1;
         if count <= at {
             return Ok(());
@@ -312,7 +302,7 @@ fn an_array_outside_all_groups_is_rejected_by_name() {
     let run = Run::new();
     let mut invalid = checkpoint(1);
     invalid.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
-    let saved = checkpoint::save(run.0.path(), &invalid, SETTINGS, &keep(1, 0), &mut |_, _| Ok(()));
+    let saved = checkpoint::save(run.0.path(), &invalid, SETTINGS, &keep(1), &mut |_, _| Ok(()));
     let error = saved.unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }

@@ -7,11 +7,9 @@ mod surprise;
 use policy::{CoreKind, InputNorm, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
-pub use self::influence::{CountedState, Divergence, Estimator, InfluenceConfig, QTraining};
+pub use self::influence::{Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
-pub use self::surprise::{
-    Constant, DensityKind, Fit, Reduce, Scored, Space, SurpriseConfig, VaeConfig,
-};
+pub use self::surprise::{DensityKind, SurpriseConfig};
 use crate::data::batch::{ActionKind, Problem};
 use crate::data::observation::ObservationScale;
 use crate::error::MarlError;
@@ -57,13 +55,10 @@ pub struct UpdateConfig {
     pub adam_epsilon: f64,
     /// Half width of the interval to which the ratio is clipped.
     pub clip: f64,
-    /// Maximum number of passes over `D_k` per agent.
+    /// Passes over `D_k` per agent.
     pub epochs: usize,
     /// Minibatches per epoch, each an optimiser step.
     pub minibatches: usize,
-    /// Limit of the joint `KL[old || new]` of all agents' policies, nats. An agent starts no further epoch after it has
-    /// used its share. 0: no limit.
-    pub target_kl: f64,
     /// `KL[old || new]` to which each agent's learning rate is adapted (`optimisation::learning_rate::adapted`), nats.
     /// 0: no adaptation.
     pub desired_kl: f64,
@@ -99,10 +94,6 @@ pub enum Sharing {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CriticConfig {
-    /// The returns that are valued.
-    pub mode: CriticMode,
-    /// The critic's input.
-    pub input: CriticInput,
     /// Kind of network.
     pub core: CriticCore,
     /// Normalisation before the first layer; MADDPG's action values have none.
@@ -123,33 +114,23 @@ pub struct CriticConfig {
     pub huber_delta: f64,
     /// Decay of the returns' running mean and variance per iteration, in `[0, 1)`.
     pub normalizer_beta: f64,
-    /// Scaling of the input before the network.
+    /// Scaling of the global state before the network.
     pub state_norm: StateNorm,
     /// Global norm to which gradients are clipped.
     pub max_gradient_norm: f64,
-}
-
-/// The critic's input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CriticInput {
-    /// The global state; all agents have one critic.
-    State,
-    /// The agent's observation; each agent has its own critic, as in independent PPO.
-    Observation,
 }
 
 /// Kind of critic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CriticCore {
-    /// Layers of Linear, ReLU, LayerNorm; values depend on the current input only.
+    /// Layers of Linear, ReLU, LayerNorm; values depend on the current state only.
     Mlp,
-    /// The same layers, then a GRU and a LayerNorm: values also depend on the earlier inputs of the episode.
+    /// The same layers, then a GRU and a LayerNorm: values also depend on the earlier states of the episode.
     Gru,
 }
 
-/// Scaling of the critic's input.
+/// Scaling of the global state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StateNorm {
@@ -172,30 +153,6 @@ impl StateNorm {
     }
 }
 
-/// The returns that are valued.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CriticMode {
-    /// One network with one value per agent, each normalised separately.
-    PerAgent,
-    /// One value of the team's reward for all agents, and one of the surprise reward per agent. An agent's advantage is
-    /// the sum of both.
-    SharedExtrinsicPlusIntrinsic,
-    /// One value for all agents, of the team's reward plus the mean surprise reward.
-    TeamMean,
-}
-
-impl CriticMode {
-    /// Value in the configuration.
-    fn name(self) -> &'static str {
-        match self {
-            Self::PerAgent => "per_agent",
-            Self::SharedExtrinsicPlusIntrinsic => "shared_extrinsic_plus_intrinsic",
-            Self::TeamMean => "team_mean",
-        }
-    }
-}
-
 impl Config {
     /// Rejects values outside their ranges.
     ///
@@ -214,23 +171,9 @@ impl Config {
             let range = "mle with update.parameters = shared: a trunk has one second head";
             return Err(out_of_range("influence.q_training", "shared", range));
         }
-        let (input, mode) = (self.critic.input, self.critic.mode);
-        if input == CriticInput::Observation && mode != CriticMode::PerAgent {
-            let range = "per_agent with critic.input = observation: every agent has its own critic";
-            return Err(out_of_range("critic.mode", self.critic.mode.name(), range));
-        }
         match self.update.rule {
             Rule::Maddpg => self.check_for_maddpg(),
             Rule::Happo | Rule::Mappo => Ok(()),
-        }
-    }
-
-    /// The returns that are valued. Without surprise all agents' rewards are equal, and there is one value.
-    #[must_use]
-    pub fn critic_mode(&self) -> CriticMode {
-        match self.critic.input {
-            CriticInput::State if self.surprise.alpha == 0.0 => CriticMode::TeamMean,
-            CriticInput::State | CriticInput::Observation => self.critic.mode,
         }
     }
 
@@ -253,16 +196,6 @@ impl Config {
             let range = "mlp with update.rule = maddpg: the replay holds single steps, no \
                          recurrent states";
             return Err(out_of_range("policy.core", "gru", range));
-        }
-        let q = &self.influence;
-        let second_head = q.q_training == QTraining::Shared && q.lambda > 0.0;
-        if second_head && q.posterior_sigma_floor >= f64::from(policy.sigma_scale) {
-            let range = "below policy.sigma_scale with influence.q_training = shared";
-            return Err(out_of_range(
-                "influence.posterior_sigma_floor",
-                q.posterior_sigma_floor,
-                range,
-            ));
         }
         Ok(())
     }
@@ -297,13 +230,12 @@ impl Config {
     }
 
     /// Rejects agents of different sizes with shared parameters, and settings that are not defined for the agents'
-    /// actions or observations.
+    /// actions.
     ///
     /// # Errors
     /// Names the first agent whose sizes differ from agent 0's, or the unsuitable key.
     pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
         problem.agents.iter().try_for_each(|agent| self.suits_actions(agent.kind))?;
-        self.surprise.suits_agents(&problem.agents)?;
         let sizes = |index: usize| {
             let agent = &problem.agents[index];
             (agent.observation, agent.action)
@@ -332,7 +264,6 @@ impl UpdateConfig {
         within("update.clip", self.clip, f64::MIN_POSITIVE..1.0, "0 < clip < 1")?;
         count("update.epochs", self.epochs)?;
         count("update.minibatches", self.minibatches)?;
-        not_negative("update.target_kl", self.target_kl)?;
         not_negative("update.desired_kl", self.desired_kl)?;
         not_negative("update.entropy", self.entropy)?;
         positive("update.max_gradient_norm", self.max_gradient_norm)

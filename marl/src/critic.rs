@@ -1,10 +1,9 @@
-//! The critic: values of global states or observations.
+//! The critic: values of global states.
 
 mod loss;
 mod mode;
 mod recurrent;
 mod state_scale;
-mod team;
 pub mod value_normalizer;
 
 use std::ops::Range;
@@ -19,10 +18,10 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use crate::config::{CriticConfig, CriticCore};
 use crate::critic::loss::mean_explained;
 pub use crate::critic::loss::{explained_variance, huber, value_loss};
+pub(crate) use crate::critic::mode::CriticMode;
 pub use crate::critic::recurrent::Unrolled;
 use crate::critic::recurrent::{Memory, SequenceStart};
 pub(crate) use crate::critic::state_scale::StateScale;
-pub(crate) use crate::critic::team::Critics;
 use crate::critic::value_normalizer::ValueNormalizer;
 use crate::data::batch::Batch;
 use crate::data::sequence::Layout;
@@ -38,16 +37,13 @@ use crate::shape::assert_shape;
 use crate::state::{Visitor, visit_parameters};
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then a GRU with its LayerNorm if configured, then `V` values,
-/// each normalised by its own returns. [`CriticMode`](crate::config::CriticMode) selects the valued rewards.
+/// each normalised by its own returns. [`CriticMode`] selects the valued rewards.
 pub struct Critic {
     config: CriticConfig,
     seed: RunSeed,
-    /// Suffix of the names of its arrays.
-    suffix: String,
-    /// Index of the critic, which is also the index of its first value.
-    index: u32,
     /// Number of values, `V`.
     count: usize,
+    /// Features of a state, `S`.
     inputs: usize,
     scale: StateScale,
     parameters: Parameters,
@@ -56,15 +52,6 @@ pub struct Critic {
     normalizers: Vec<ValueNormalizer>,
     /// `None` with `core = mlp`.
     memory: Option<Memory>,
-}
-
-/// A critic's input for a batch.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ValueInputs<'a> {
-    /// Before every step, `[T * B, S]`.
-    pub rows: &'a [f32],
-    /// After the steps of the batch's finals, `[F, S]`.
-    pub finals: Vec<f32>,
 }
 
 /// A critic's values of a batch before it is trained on it.
@@ -98,7 +85,7 @@ pub struct CriticFigures {
 /// Constants of a fit, for all rows.
 #[derive(Clone, Copy)]
 struct FitData<'a> {
-    /// Inputs, `[T * B, S]`.
+    /// States, `[T * B, S]`.
     rows: &'a [f32],
     /// Before the fit.
     values: &'a Values,
@@ -107,20 +94,18 @@ struct FitData<'a> {
 }
 
 impl Critic {
-    /// A critic with `count` values of `inputs` features. `suffix` and `index` identify the critic among an algorithm's
-    /// critics; `adam_epsilon` and `chunk_steps`, the steps of truncated back-propagation, are the actors'.
+    /// A critic with `count` values of states of `inputs` features. `adam_epsilon` and `chunk_steps`, the steps of
+    /// truncated back-propagation, are the actors'.
     ///
     /// # Errors
     /// If a tensor operation fails.
     pub fn new(
         config: &CriticConfig,
         (adam_epsilon, chunk_steps): (f64, usize),
-        (suffix, index): (&str, u32),
         (inputs, count): (usize, usize),
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
-        let draw = Draw::of(Purpose::CriticInitialisation).agent(index);
-        let mut rng = generator(seed, draw);
+        let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation));
         let mut specs = Vec::new();
         if config.input_norm == InputNorm::LayerNorm {
             specs.push(LayerSpec::norm("norm", inputs));
@@ -141,8 +126,6 @@ impl Critic {
         Ok(Self {
             config: config.clone(),
             seed,
-            suffix: suffix.to_owned(),
-            index,
             count,
             inputs,
             scale: StateScale::new(config.state_norm, inputs),
@@ -187,19 +170,20 @@ impl Critic {
     /// If the memory is that of another number of environments, or a tensor operation fails.
     ///
     /// # Panics
-    /// If the inputs do not have the shapes of `batch`.
-    pub fn values(&self, batch: &Batch, inputs: &ValueInputs<'_>) -> Result<Values, MarlError> {
-        assert_shape("states", inputs.rows.len(), batch.rows() * self.inputs);
-        assert_shape("final states", inputs.finals.len(), batch.finals.len() * self.inputs);
+    /// If the states do not have the shapes of `batch`.
+    pub fn values(&self, batch: &Batch) -> Result<Values, MarlError> {
+        let finals: Vec<f32> = batch.finals.iter().flat_map(|last| &last.state).copied().collect();
+        assert_shape("states", batch.state.len(), batch.rows() * self.inputs);
+        assert_shape("final states", finals.len(), batch.finals.len() * self.inputs);
         let (layout, normalized, finals, unrolled) = match &self.memory {
             None => (
                 Layout::of(batch, 1),
-                self.forward_all(inputs.rows)?,
-                self.forward_all(&inputs.finals)?,
+                self.forward_all(&batch.state)?,
+                self.forward_all(&finals)?,
                 None,
             ),
             Some(memory) => {
-                let (normalized, finals, unrolled) = self.unroll(memory, batch, inputs)?;
+                let (normalized, finals, unrolled) = self.unroll(memory, batch, &finals)?;
                 (memory.layout(batch), normalized, finals, Some(unrolled))
             }
         };
@@ -232,27 +216,26 @@ impl Critic {
     /// If a tensor operation fails.
     ///
     /// # Panics
-    /// If the shapes of `inputs`, `values` and `returns` differ.
+    /// If the shapes of `batch`, `values` and `returns` differ.
     pub fn fit(
         &mut self,
-        inputs: &ValueInputs<'_>,
+        batch: &Batch,
         values: &Values,
         returns: &[Vec<f64>],
         iteration: u64,
     ) -> Result<CriticFigures, MarlError> {
         let count = values.layout.rows();
-        assert_shape("states", inputs.rows.len(), count * self.inputs);
+        assert_shape("states", batch.state.len(), count * self.inputs);
         assert_shape("values", values.normalized.len(), count * self.count);
         assert_shape("returns", returns.iter().map(Vec::len).collect(), vec![count; self.count]);
         for (normalizer, returns) in self.normalizers.iter_mut().zip(returns) {
             normalizer.update(returns);
         }
         let target = self.targets(returns);
-        let data = FitData { rows: inputs.rows, values, target: &target };
+        let data = FitData { rows: &batch.state, values, target: &target };
         let mut figures = CriticFigures::default();
         for epoch in 0..self.config.epochs {
-            let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration);
-            let draw = draw.step(epoch as u32).agent(self.index);
+            let draw = Draw::of(Purpose::CriticMinibatch).iteration(iteration).step(epoch as u32);
             let (chunks, parts) = (values.layout.chunks, self.config.minibatches);
             let parts = minibatches(chunks, parts, self.seed, draw);
             let weight = 1.0 / (self.config.epochs * parts.len()) as f64;
@@ -265,7 +248,7 @@ impl Critic {
         figures.explained_variance = mean_explained(&values.now, returns);
         figures.skipped = self.adam.skipped();
         // After the fit, so that old and new values use the same scaling.
-        self.scale.take_in(inputs.rows);
+        self.scale.take_in(&batch.state);
         Ok(figures)
     }
 
@@ -315,17 +298,15 @@ impl Critic {
         Ok((loss, Gradients::of(&self.parameters, &root)?))
     }
 
-    /// Visits `weights/critic*.*`, `optimizer/critic*.*`, `normalizer/value_I`, `normalizer/state*.*`,
-    /// `memory/critic*.hidden`; the first `*` is the suffix.
+    /// Visits `weights/critic.*`, `optimizer/critic.*`, `normalizer/value_I`, `normalizer/state.*`, `memory/critic.hidden`.
     pub(crate) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
-        let suffix = &self.suffix;
-        visit_parameters(visitor, &format!("weights/critic{suffix}."), &self.parameters)?;
-        self.adam.visit(&format!("optimizer/critic{suffix}."), visitor)?;
-        self.scale.visit(&format!("normalizer/state{suffix}."), visitor)?;
-        for (agent, normalizer) in (self.index..).zip(&mut self.normalizers) {
+        visit_parameters(visitor, "weights/critic.", &self.parameters)?;
+        self.adam.visit("optimizer/critic.", visitor)?;
+        self.scale.visit("normalizer/state.", visitor)?;
+        for (agent, normalizer) in self.normalizers.iter_mut().enumerate() {
             normalizer.visit(&format!("normalizer/value_{agent}"), visitor)?;
         }
-        let name = format!("memory/critic{suffix}.hidden");
-        self.memory.as_mut().map_or(Ok(()), |memory| memory.visit(&name, visitor))
+        let memory = self.memory.as_mut();
+        memory.map_or(Ok(()), |memory| memory.visit("memory/critic.hidden", visitor))
     }
 }

@@ -10,7 +10,8 @@ pub mod vae;
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
-use crate::config::{DensityKind, SurpriseConfig};
+use crate::config::DensityKind;
+use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
 use crate::shape::assert_shape;
 use crate::state::Visitor;
@@ -55,7 +56,7 @@ impl<'a> Observations<'a> {
     }
 }
 
-/// Key of the random draws of a fit or a query, and the weight of previous moments.
+/// Key of the random draws of a fit or a query.
 #[derive(Clone, Copy, Debug)]
 pub struct DensityContext {
     /// The run's seed.
@@ -64,8 +65,6 @@ pub struct DensityContext {
     pub iteration: u64,
     /// Index of the agent.
     pub agent: u32,
-    /// Weight of the previous fit, in `[0, 1)`. Only moments use it.
-    pub memory: f64,
 }
 
 /// A density `p_theta` over one agent's observations.
@@ -90,6 +89,11 @@ pub trait Density: Send + Sync {
     ) -> Result<Vec<f64>, MarlError>;
     /// Number of active features, and of features left out because they hardly vary.
     fn features(&self) -> (usize, usize);
+    /// The constant that the score adds to the log-density, nats: `1/2 log 2 pi` per active feature, which Eq. (4)
+    /// omits.
+    fn omitted_constant(&self) -> f64 {
+        0.5 * LOG_TWO_PI * self.features().0 as f64
+    }
     /// Visits `theta` and the other state of the next fit, as arrays under `prefix`.
     ///
     /// # Errors
@@ -97,19 +101,19 @@ pub trait Density: Send + Sync {
     fn visit(&mut self, prefix: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError>;
 }
 
-/// The configured density over the observation features `signal` of agent `agent`.
+/// A density of this kind over the observation features `signal` of agent `agent`.
 ///
 /// # Errors
 /// If a tensor operation fails.
 pub fn build(
-    config: &SurpriseConfig,
+    kind: DensityKind,
     signal: &[usize],
     (seed, agent): (RunSeed, u32),
 ) -> Result<Box<dyn Density>, MarlError> {
-    let moments = Moments::new(signal.to_vec(), config.feature_sigma_floor, config.mask_below);
-    Ok(match config.density {
+    let moments = Moments::new(signal.to_vec());
+    Ok(match kind {
         DensityKind::DiagonalGaussian => Box::new(diagonal_gaussian::DiagonalGaussian(moments)),
         DensityKind::Categorical => Box::new(categorical::Categorical::new(moments)),
-        DensityKind::Vae => Box::new(vae::Vae::new(&config.vae, moments, (seed, agent))?),
+        DensityKind::Vae => Box::new(vae::Vae::new(vae::CONFIG, moments, (seed, agent))?),
     })
 }

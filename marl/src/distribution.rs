@@ -5,7 +5,6 @@ pub mod categorical;
 pub mod gaussian;
 pub mod head_rows;
 
-use crate::config::Divergence;
 pub use categorical::CategoricalRow;
 pub use gaussian::GaussianRow;
 pub use head_rows::HeadRows;
@@ -60,60 +59,6 @@ pub trait RowDistribution: Sync {
 
     /// Gradient of [`RowDistribution::kl_divergence`] with respect to `p`; `q` is constant.
     fn add_kl_gradient_by_p(&self, weight: f64, q: Row<'_>, p: Row<'_>, gradient: RowGradient<'_>);
-
-    /// `-log((int q p)^2 / (int q^2 int p^2))`, nats; symmetric.
-    fn cauchy_schwarz(&self, q: Row<'_>, p: Row<'_>) -> f64;
-
-    /// Gradient of [`RowDistribution::cauchy_schwarz`] with respect to `p`; `q` is constant.
-    fn add_cauchy_schwarz_gradient(
-        &self,
-        weight: f64,
-        q: Row<'_>,
-        p: Row<'_>,
-        gradient: RowGradient<'_>,
-    );
-
-    /// `D[q, p]` of the given kind, nats.
-    fn divergence(&self, kind: Divergence, q: Row<'_>, p: Row<'_>) -> f64 {
-        match kind {
-            Divergence::KlQp => self.kl_divergence(q, p),
-            Divergence::KlPq => self.kl_divergence(p, q),
-            Divergence::CauchySchwarz => self.cauchy_schwarz(q, p),
-        }
-    }
-
-    /// Gradient of [`RowDistribution::divergence`] with respect to `p`; `q` is constant.
-    fn add_divergence_gradient_by_p(
-        &self,
-        kind: Divergence,
-        weight: f64,
-        q: Row<'_>,
-        p: Row<'_>,
-        gradient: RowGradient<'_>,
-    ) {
-        match kind {
-            Divergence::KlQp => self.add_kl_gradient_by_p(weight, q, p, gradient),
-            Divergence::KlPq => self.add_kl_gradient_by_q(weight, p, q, gradient),
-            Divergence::CauchySchwarz => self.add_cauchy_schwarz_gradient(weight, q, p, gradient),
-        }
-    }
-
-    /// Gradient of [`RowDistribution::divergence`] with respect to `q`; `p` is constant.
-    fn add_divergence_gradient_by_q(
-        &self,
-        kind: Divergence,
-        weight: f64,
-        q: Row<'_>,
-        p: Row<'_>,
-        gradient: RowGradient<'_>,
-    ) {
-        let reversed = match kind {
-            Divergence::KlQp => Divergence::KlPq,
-            Divergence::KlPq => Divergence::KlQp,
-            Divergence::CauchySchwarz => Divergence::CauchySchwarz,
-        };
-        self.add_divergence_gradient_by_p(reversed, weight, p, q, gradient);
-    }
 }
 
 #[cfg(test)]

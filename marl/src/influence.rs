@@ -9,59 +9,30 @@ pub mod count;
 pub mod posterior;
 pub mod second_head;
 
-use crate::config::{Divergence, Estimator, InfluenceConfig};
 use crate::distribution::HeadRows;
 use crate::shape::assert_shape;
 
-/// Definition of one row of the influence term.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Term {
-    /// Estimator of mutual information.
-    pub estimator: Estimator,
-    /// Divergence.
-    pub divergence: Divergence,
-    /// Cap of a divergence that is maximised, nats per action dimension.
-    pub kappa: f64,
+/// Row `row` of the influence term: [`capped_divergence`] of the posterior `q` from the policy `p`.
+#[must_use]
+pub fn influence(row: usize, q: &HeadRows, p: &HeadRows, kappa: f64) -> (f64, f64) {
+    let divergence = p.distribution().kl_divergence(q.row(row), p.row(row));
+    capped_divergence(divergence, kappa, p.action_size())
 }
 
-impl Term {
-    /// The configured term.
-    #[must_use]
-    pub fn of(config: &InfluenceConfig) -> Self {
-        let InfluenceConfig { estimator, divergence, kappa, .. } = *config;
-        Self { estimator, divergence, kappa }
+/// `weight` times the gradient of the sum of [`influence`] over all rows with respect to the parameters of the posterior
+/// `q`; the policy `p` is constant.
+///
+/// # Panics
+/// If the shapes differ.
+#[must_use]
+pub fn posterior_gradient(weight: f64, q: &HeadRows, p: &HeadRows, kappa: f64) -> HeadRows {
+    q.assert_same_shape(p);
+    let (distribution, mut gradient) = (q.distribution(), q.zeros());
+    for row in 0..q.count() {
+        let (weight, to) = (weight * influence(row, q, p, kappa).1, gradient.row_gradient(row));
+        distribution.add_kl_gradient_by_q(weight, q.row(row), p.row(row), to);
     }
-
-    /// One row of the term, nats, and its derivative with respect to the divergence: Eq. (8)'s capped divergence, or
-    /// Barber and Agakov's `E_p[log q + H[p]] = -KL[p || q]`. The latter is a lower bound of the information and needs
-    /// no cap: it is at most 0, its value where the policy equals the posterior.
-    #[must_use]
-    pub fn row(&self, row: usize, q: &HeadRows, p: &HeadRows) -> (f64, f64) {
-        let divergence = p.distribution().divergence(self.divergence, q.row(row), p.row(row));
-        match self.estimator {
-            Estimator::VariationalKl | Estimator::Count => {
-                capped_divergence(divergence, self.kappa, p.action_size())
-            }
-            Estimator::BarberAgakov => (-divergence, -1.0),
-        }
-    }
-
-    /// `weight` times the gradient of the sum of the term over all rows with respect to the parameters of the posterior
-    /// `q`; the policy `p` is constant.
-    ///
-    /// # Panics
-    /// If the shapes differ.
-    #[must_use]
-    pub fn posterior_gradient(&self, weight: f64, q: &HeadRows, p: &HeadRows) -> HeadRows {
-        q.assert_same_shape(p);
-        let (distribution, mut gradient) = (q.distribution(), q.zeros());
-        for row in 0..q.count() {
-            let (weight, to) = (weight * self.row(row, q, p).1, gradient.row_gradient(row));
-            let (q, p) = (q.row(row), p.row(row));
-            distribution.add_divergence_gradient_by_q(self.divergence, weight, q, p, to);
-        }
-        gradient
-    }
+    gradient
 }
 
 /// Eq. (5): `J~ = J + lambda I`, an objective with the influence term. `influence` is in nats.
@@ -99,17 +70,14 @@ pub fn capped_divergence(divergence: f64, kappa: f64, dimensions: usize) -> (f64
 mod tests {
     use super::*;
 
-    const TERM: Term =
-        Term { estimator: Estimator::VariationalKl, divergence: Divergence::KlQp, kappa: 1.0 };
-
     fn gaussian(mean: f64) -> HeadRows {
         HeadRows::gaussian(vec![mean, 0.0], vec![0.5, 0.5])
     }
 
     #[test]
     fn at_the_cap_the_divergence_is_constant() {
-        assert_eq!(TERM.row(0, &gaussian(0.5), &gaussian(0.0)), (0.5, 1.0));
-        assert_eq!(TERM.row(0, &gaussian(5.0), &gaussian(0.0)), (2.0, 0.0)); // KL = 50
+        assert_eq!(influence(0, &gaussian(0.5), &gaussian(0.0), 1.0), (0.5, 1.0));
+        assert_eq!(influence(0, &gaussian(5.0), &gaussian(0.0), 1.0), (2.0, 0.0)); // KL = 50
     }
 
     #[test]
@@ -117,16 +85,8 @@ mod tests {
         let of = |logits: [f64; 2]| HeadRows::categorical(logits.to_vec(), 2);
         let (q, p) = (of([libm::log(3.0), 0.0]), of([0.0, 0.0]));
         let divergence = p.distribution().kl_divergence(q.row(0), p.row(0));
-        assert_eq!(TERM.row(0, &q, &p), (divergence, 1.0));
-        assert_eq!(TERM.row(0, &of([40.0, 0.0]), &of([0.0, 40.0])), (1.0, 0.0));
-    }
-
-    #[test]
-    fn barber_and_agakovs_bound_is_highest_where_the_policy_is_the_posterior() {
-        let (estimator, divergence) = (Estimator::BarberAgakov, Divergence::KlPq);
-        let term = Term { estimator, divergence, kappa: 1.0 };
-        assert_eq!(term.row(0, &gaussian(0.0), &gaussian(0.0)), (0.0, -1.0));
-        assert_eq!(term.row(0, &gaussian(5.0), &gaussian(0.0)), (-50.0, -1.0));
+        assert_eq!(influence(0, &q, &p, 1.0), (divergence, 1.0));
+        assert_eq!(influence(0, &of([40.0, 0.0]), &of([0.0, 40.0]), 1.0), (1.0, 0.0));
     }
 
     #[test]

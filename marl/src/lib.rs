@@ -21,7 +21,7 @@ pub mod state;
 pub mod surprise;
 
 pub use config::{
-    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig, VaeConfig,
+    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
 };
 pub use data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use data::observation::{ObservationMoments, ObservationScale};

@@ -1,22 +1,21 @@
 //! Surprise minimisation: densities fitted on `D_k`, and their rewards.
 //!
 //! If all agents see the same signal features (the tasks' `full_id` observations), all densities and rewards are equal.
-//! Surprise is individual only if observations are, or in the space `local`.
+//! Surprise is individual only if observations are.
 
 mod agent;
-mod scored;
 
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
 
-use crate::config::{Scored, Space, SurpriseConfig};
-use crate::data::batch::{Batch, Problem, Rewards};
+use crate::config::SurpriseConfig;
+use crate::data::batch::{AgentShape, Batch, Problem, Rewards};
 use crate::density::{self, DensityContext, Observations};
 use crate::error::MarlError;
 use crate::rules::algorithm::Report;
 use crate::shape::assert_shape;
 use crate::state::{State, Visitor};
-use crate::surprise::agent::{AgentSurprise, Rule};
+use crate::surprise::agent::AgentSurprise;
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`; the right-hand side per step: minus the mean log-density of
 /// the visited rows, `[R]`, nats. It bounds their entropy from above, with equality where `p_theta` is the true
@@ -48,9 +47,7 @@ pub fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
 /// One density per agent, and the weight of its log-density in the agent's reward.
 pub struct Surprise {
     seed: RunSeed,
-    rule: Rule,
-    space: Space,
-    obs: Scored,
+    alpha: f64,
     agents: Vec<AgentSurprise>,
 }
 
@@ -64,36 +61,35 @@ impl Surprise {
         problem: &Problem,
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
-        let agent = |(index, shape): (usize, &crate::data::batch::AgentShape)| {
-            let signal = scored::features(shape, config.space);
-            Ok(AgentSurprise::new(density::build(config, signal, (seed, index as u32))?))
+        let agent = |(index, shape): (usize, &AgentShape)| {
+            let (signal, key) = (&shape.surprise_features, (seed, index as u32));
+            Ok(AgentSurprise::new(density::build(config.density, signal, key)?))
         };
         let agents = problem.agents.iter().enumerate().map(agent);
         let agents = agents.collect::<Result<_, MarlError>>()?;
-        Ok(Self { seed, rule: Rule::of(config), space: config.space, obs: config.obs, agents })
+        Ok(Self { seed, alpha: config.alpha, agents })
     }
 
-    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)` for every agent. Also scores `D_k` under the density that
-    /// `surprise.fit` selects.
+    /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)` for every agent. Also scores `D_k` under these
+    /// densities.
     ///
     /// # Errors
     /// If a tensor operation fails.
     pub fn refit(&mut self, batch: &Batch, iteration: u64) -> Result<(), MarlError> {
-        let (rows, rule, seed) = (batch.rows(), self.rule, self.seed);
-        let (space, obs) = (self.space, self.obs);
+        let (rows, alpha, seed) = (batch.rows(), self.alpha, self.seed);
         let agents = self.agents.par_iter_mut().enumerate();
         agents.try_for_each(|(index, agent)| {
-            let data = scored::rows(batch, index, space, obs);
-            let observations = Observations { data: &data, width: data.len() / rows };
-            let context = DensityContext { seed, iteration, agent: index as u32, memory: 0.0 };
-            agent.refit(observations, context, rule)?;
-            agent.share = share_of_return(&batch.reward, rule.alpha, agent.scores());
+            let data = &batch.agents[index].observation;
+            let observations = Observations { data, width: data.len() / rows };
+            let context = DensityContext { seed, iteration, agent: index as u32 };
+            agent.refit(observations, context, alpha)?;
+            agent.share = share_of_return(&batch.reward, alpha, agent.scores());
             Ok(())
         })
     }
 
     /// Eq. (9): `r~(s_t, o_t^i) = r(s_t) + alpha log p_theta^i(o_t^i)`, per agent `[T, B]`. It scores the observation
-    /// before the step, never a terminal one, unless `surprise.obs` selects the observation after it.
+    /// before the step, never a terminal one.
     ///
     /// # Panics
     /// If `batch` has another shape than that of the last [`Surprise::refit`].
@@ -103,7 +99,7 @@ impl Surprise {
             let scores = agent.scores();
             assert_shape("rows of the refitted batch", scores.len(), batch.rows());
             let reward = batch.reward.iter().zip(scores).map(|(&reward, &score)| {
-                reward_with_surprise(f64::from(reward), self.rule.alpha, score) as f32
+                reward_with_surprise(f64::from(reward), self.alpha, score) as f32
             });
             reward.collect()
         };
@@ -147,23 +143,20 @@ mod tests {
     use policy::randomness::{Draw, Purpose, generator, standard_normal};
 
     use super::*;
-    use crate::config::Constant;
-    use crate::data::batch::{ActionKind, AgentBatch, AgentShape};
+    use crate::config::DensityKind;
+    use crate::data::batch::{ActionKind, AgentBatch};
     use crate::distribution::gaussian::entropy;
 
     const ROWS: usize = 20_000;
 
     fn surprise(alpha: f64, agents: usize) -> Surprise {
-        let constant = Constant::Density;
-        let config = SurpriseConfig { alpha, constant, ..crate::sample::surprise() };
+        let config = SurpriseConfig { alpha, density: DensityKind::DiagonalGaussian };
         let shape = AgentShape {
             observation: 1,
             action: 1,
             action_range: (-1.0, 1.0),
             kind: ActionKind::Continuous,
             surprise_features: vec![0],
-            seen: vec![],
-            near: vec![],
         };
         let problem = Problem { agents: vec![shape; agents], state: 1 };
         Surprise::new(&config, &problem, RunSeed(0)).unwrap()
@@ -221,10 +214,7 @@ mod tests {
         // Means 2 and 6, variances 8/3 and 2.
         let by_hand = |x: f64, mean: f64, variance: f64| {
             let z = (x - mean) * (x - mean) / variance;
-            2.0 + 0.1
-                * (-0.5 * z
-                    - 0.5 * libm::log(variance)
-                    - 0.5 * crate::distribution::gaussian::LOG_TWO_PI)
+            2.0 + 0.1 * (-0.5 * z - 0.5 * libm::log(variance))
         };
         for (row, &observation) in [0.0, 2.0, 4.0].iter().enumerate() {
             assert!(

@@ -23,15 +23,8 @@ pub enum InputNorm {
     LayerNorm,
 }
 
-/// When the learner recomputes stored recurrent states with the current weights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RefreshHidden {
-    /// Chunks start from the states of the rollout in every epoch.
-    Never,
-    /// Before every epoch except the first.
-    EveryEpoch,
-}
+/// Sigma of an untrained policy, in units of half an action's range: `sigmoid(1) / 2`, as in HARL.
+const INITIAL_SIGMA: f64 = 0.365_529_29;
 
 /// Sizes and initialisation of every actor network. `configs/base.toml` has the defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,13 +44,6 @@ pub struct PolicyConfig {
     pub layers: usize,
     /// Steps of backpropagation through time, and between stored recurrent states.
     pub backpropagation_steps: usize,
-    /// Number of steps before a chunk for which recurrent states are recomputed with the current weights, from the
-    /// stored state at their start; 0 or a multiple of `backpropagation_steps`.
-    pub burn_in: usize,
-    /// When stored recurrent states are recomputed.
-    pub refresh_hidden: RefreshHidden,
-    /// Initial sigma, in units of half an action's range.
-    pub initial_sigma: f64,
     /// Upper bound of sigma, in units of half an action's range.
     pub sigma_scale: f32,
     /// Lower bound of sigma, in units of half an action's range.
@@ -88,9 +74,9 @@ impl PolicyConfig {
         let count = |count: usize, most: usize| (count.to_string(), (1..=most).contains(&count));
         let real = |x: f32, from: f32, to: f32| (x.to_string(), x > from && x <= to);
         let floor = self.sigma_floor;
-        let below = floor > 0.0 && floor < self.sigma_scale;
-        let open = f64::from(floor)..f64::from(self.sigma_scale);
-        let recurrent = self.core != CoreKind::Mlp;
+        let is_below_start = floor > 0.0 && f64::from(floor) < INITIAL_SIGMA;
+        let scale = self.sigma_scale;
+        let is_above_start = f64::from(scale) > INITIAL_SIGMA && scale <= 10.0;
         let checks = [
             ("policy.encoder", size(self.encoder), "1 to 4096"),
             ("policy.hidden", size(self.hidden), "1 to 4096"),
@@ -102,36 +88,14 @@ impl PolicyConfig {
                 "1 to 10000",
             ),
             (
-                "policy.burn_in",
-                (self.burn_in.to_string(), self.burn_in.is_multiple_of(self.backpropagation_steps)),
-                "0 or a multiple of policy.backpropagation_steps",
+                "policy.sigma_scale",
+                (scale.to_string(), is_above_start),
+                "above the initial sigma of 0.36552929, at most 10",
             ),
-            (
-                "policy.burn_in",
-                (self.burn_in.to_string(), recurrent || self.burn_in == 0),
-                "0 with policy.core = mlp",
-            ),
-            (
-                "policy.refresh_hidden",
-                (
-                    "every_epoch".to_owned(),
-                    recurrent || self.refresh_hidden == RefreshHidden::Never,
-                ),
-                "never with policy.core = mlp",
-            ),
-            ("policy.sigma_scale", real(self.sigma_scale, 0.0, 10.0), "above 0, at most 10"),
             (
                 "policy.sigma_floor",
-                (floor.to_string(), below),
-                "above 0 and below policy.sigma_scale",
-            ),
-            (
-                "policy.initial_sigma",
-                (
-                    self.initial_sigma.to_string(),
-                    self.initial_sigma > open.start && self.initial_sigma < open.end,
-                ),
-                "above policy.sigma_floor and below policy.sigma_scale",
+                (floor.to_string(), is_below_start),
+                "above 0 and below the initial sigma of 0.36552929",
             ),
             ("policy.head_gain", real(self.head_gain, 0.0, 10.0), "above 0, at most 10"),
         ];
@@ -144,7 +108,7 @@ impl PolicyConfig {
     /// Initial value of the parameter `log_std`, where `sigma = sigmoid(log_std) * sigma_scale`.
     #[must_use]
     pub fn initial_log_std(&self) -> f32 {
-        let share = self.initial_sigma / f64::from(self.sigma_scale);
+        let share = INITIAL_SIGMA / f64::from(self.sigma_scale);
         libm::log(share / (1.0 - share)) as f32
     }
 
@@ -171,9 +135,6 @@ mod tests {
             width: 128,
             layers: 3,
             backpropagation_steps: 10,
-            burn_in: 0,
-            refresh_hidden: RefreshHidden::Never,
-            initial_sigma: 0.365_529_29,
             sigma_scale: 0.5,
             sigma_floor: 0.05,
             head_gain: 0.01,
@@ -191,42 +152,18 @@ mod tests {
     }
 
     #[test]
-    fn the_initial_sigma_has_the_configured_value_and_is_between_its_bounds() {
-        for initial_sigma in [0.06, 0.25, 0.365_529_29, 0.49] {
-            let config = PolicyConfig { initial_sigma, ..valid() };
-            let log_std = f64::from(config.initial_log_std());
-            let sigma = f64::from(config.sigma_scale) / (1.0 + libm::exp(-log_std));
-            assert!((sigma - initial_sigma).abs() < 1e-7, "{sigma} {initial_sigma}");
-            assert_eq!(config.validate(), Ok(()));
-        }
+    fn the_initial_sigma_is_that_of_harl_and_between_the_bounds() {
         assert_eq!(valid().initial_log_std(), 1.0);
-        for initial_sigma in [0.0, 0.05, 0.5, 0.6, f64::NAN] {
-            let error = PolicyConfig { initial_sigma, ..valid() }.validate().expect_err("refused");
-            assert_eq!(error.key, "policy.initial_sigma");
-        }
-    }
-
-    #[test]
-    fn states_are_recomputed_in_whole_chunks_and_only_with_a_recurrent_core() {
-        let burn_in = |core, burn_in| PolicyConfig { core, burn_in, ..valid() }.validate();
-        assert_eq!(burn_in(CoreKind::Gru, 20), Ok(()));
-        for (refused, message) in [
-            (
-                burn_in(CoreKind::Gru, 15),
-                "policy.burn_in is 15, expected 0 or a multiple of policy.backpropagation_steps",
-            ),
-            (burn_in(CoreKind::Mlp, 20), "policy.burn_in is 20, expected 0 with policy.core = mlp"),
-            (
-                PolicyConfig {
-                    core: CoreKind::Mlp,
-                    refresh_hidden: RefreshHidden::EveryEpoch,
-                    ..valid()
-                }
-                .validate(),
-                "policy.refresh_hidden is every_epoch, expected never with policy.core = mlp",
-            ),
+        for (sigma_floor, sigma_scale, key) in [
+            (0.37, 0.5, "policy.sigma_floor"),
+            (0.0, 0.5, "policy.sigma_floor"),
+            (0.05, 0.36, "policy.sigma_scale"),
         ] {
-            assert_eq!(refused.expect_err("refused").to_string(), message);
+            let config = PolicyConfig { sigma_floor, sigma_scale, ..valid() };
+            assert_eq!(config.validate().expect_err("refused").key, key);
         }
+        let wide = PolicyConfig { sigma_scale: 1.0, ..valid() };
+        let sigma = 1.0 / (1.0 + libm::exp(-f64::from(wide.initial_log_std())));
+        assert!((sigma - INITIAL_SIGMA).abs() < 1e-7, "{sigma}");
     }
 }

@@ -24,7 +24,7 @@ pub mod standardisation;
 pub use acting::{ActorPolicy, ActorSpec, Scratch};
 pub use arrays::{Array, NamedArrays};
 pub use categorical::Categorical;
-pub use config::{CoreKind, InputNorm, PolicyConfig, RefreshHidden};
+pub use config::{CoreKind, InputNorm, PolicyConfig};
 pub use error::PolicyError;
 pub use gaussian::Gaussian;
 pub use head::{Distribution, Head};

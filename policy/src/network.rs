@@ -141,21 +141,6 @@ impl ActorNetwork {
         Ok((self.head(output)?, features))
     }
 
-    /// The recurrent state after the last step, `[B, H]`, a constant. Without a GRU, the state before the first
-    /// step.
-    ///
-    /// # Errors
-    /// If shapes or element types do not match.
-    pub fn last_state(
-        &self,
-        weights: &Weights,
-        input: &SequenceInput,
-    ) -> Result<Tensor, PolicyError> {
-        let recurrent = RecurrentInput { start: &input.hidden, mask: &input.mask };
-        let found = weights.last_states(&input.observation, recurrent)?;
-        Ok(found.unwrap_or_else(|| input.hidden.clone()))
-    }
-
     /// From the layers' output `[R, out]`: logits; or the mean, with `sigma = sigmoid(log_std) * sigma_scale` if it
     /// is learnt, otherwise the fixed sigma of the head.
     fn head(&self, output: Tensor) -> Result<Distribution, PolicyError> {

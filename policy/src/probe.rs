@@ -3,7 +3,7 @@
 use sha2::{Digest, Sha256};
 
 use crate::acting::{ActorPolicy, Scratch};
-use crate::config::{CoreKind, InputNorm, PolicyConfig, RefreshHidden};
+use crate::config::{CoreKind, InputNorm, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
 use crate::network::ActorNetwork;
@@ -60,9 +60,6 @@ fn fixed_policy(core: CoreKind, head: Head, action: usize) -> Result<ActorPolicy
         width: 64,
         layers: 1,
         backpropagation_steps: 10,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,

@@ -6,7 +6,7 @@ use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
     ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, Head, InputNorm, PolicyConfig,
-    RefreshHidden, Scratch, SequenceInput, gaussian,
+    Scratch, SequenceInput, gaussian,
 };
 
 const OBSERVATION: usize = 23;
@@ -21,9 +21,6 @@ fn config(core: CoreKind) -> PolicyConfig {
         width: 40,
         layers: 2,
         backpropagation_steps: 5,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,

@@ -5,8 +5,8 @@ use candle_core::{DType, Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, CoreKind, Distribution, Head, InputNorm, PolicyConfig, PolicySnapshot,
-    RefreshHidden, Scratch, SequenceInput, categorical,
+    ActorNetwork, CoreKind, Distribution, Head, InputNorm, PolicyConfig, PolicySnapshot, Scratch,
+    SequenceInput, categorical,
 };
 
 const OBSERVATION: usize = 9;
@@ -21,9 +21,6 @@ fn network(core: CoreKind) -> ActorNetwork {
         width: 16,
         layers: 2,
         backpropagation_steps: 5,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,
@@ -140,9 +137,6 @@ fn a_gaussian_snapshot_says_nothing_of_heads_and_a_head_that_does_not_fit_is_ref
             width: 4,
             layers: 1,
             backpropagation_steps: 1,
-            burn_in: 0,
-            refresh_hidden: RefreshHidden::Never,
-            initial_sigma: 0.365_529_29,
             sigma_scale: 0.5,
             sigma_floor: 0.05,
             head_gain: 1.0,

@@ -6,9 +6,7 @@ use std::collections::BTreeMap;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::snapshot::{Repeat, repeats};
-use policy::{
-    ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden, Scratch,
-};
+use policy::{ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, Scratch};
 
 fn config() -> PolicyConfig {
     PolicyConfig {
@@ -19,9 +17,6 @@ fn config() -> PolicyConfig {
         width: 4,
         layers: 1,
         backpropagation_steps: 5,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,

@@ -45,7 +45,6 @@ fn our_rate(task: &str) -> f64 {
             "mode": "full_id", "norm": "none", "nearest": 1, "globals": "hidden",
             "contact_forces": "absent",
         },
-        "partition": "actuator_slices",
     }))
     .expect("the settings are valid");
     let mut world = sim::environments(&config, 1).expect("the task is known");

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A task, its observations and its partition among agents.
+/// A task and its observations.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskConfig {
@@ -13,8 +13,6 @@ pub struct TaskConfig {
     pub definition: Option<TaskDefinition>,
     /// Observations of the agents.
     pub observation: ObservationConfig,
-    /// Assignment of joints to agents.
-    pub partition: PartitionSemantics,
 }
 
 /// Text of a task file and of the model that it names.
@@ -87,14 +85,4 @@ pub enum ObservationNorm {
     Running,
     /// Unscaled, in metres, radians and seconds.
     None,
-}
-
-/// Assignment of joints to agents.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PartitionSemantics {
-    /// Contiguous slices in the order of the robot's actuators, as in the published results.
-    ActuatorSlices,
-    /// The joints named by the task's published labels.
-    Labels,
 }

@@ -12,7 +12,6 @@ use crate::config::{ContactForces, ObservationConfig, TaskConfig};
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::error::{ActionError, SimError, StateError};
 use crate::observation::Observation;
-use crate::partition::partition;
 use crate::robot::Robot;
 use crate::scene::Pose;
 use crate::state::{State, StateBounds};
@@ -77,7 +76,12 @@ impl RobotEnvironments {
             return Err(SimError::NoEnvironments);
         }
         let actuators: Vec<&str> = task.robot.actuators().collect();
-        let agents = partition(&task.agents, &actuators, config.partition);
+        let position = |joint: &String| {
+            let named = actuators.iter().position(|name| *name == joint.as_str());
+            named.expect("a task's lists name actuators of its robot, which `Task` checks")
+        };
+        let of_agent = |joints: &Vec<String>| joints.iter().map(position).collect();
+        let agents: Vec<Vec<usize>> = task.agents.iter().map(of_agent).collect();
         let motors = actuators.len();
         let view = effective(&config.observation, &task.rules);
         let mut bounds = task.robot.state_bounds(task.episode_steps);

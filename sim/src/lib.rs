@@ -13,7 +13,6 @@ mod error;
 mod game;
 mod noise;
 mod observation;
-mod partition;
 mod probe;
 mod robot;
 mod scene;
@@ -25,8 +24,8 @@ mod world;
 
 pub use action_scale::ActionScale;
 pub use config::{
-    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
-    RootView, TaskConfig, TaskDefinition,
+    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
+    TaskDefinition,
 };
 pub use environment_batch::{EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};

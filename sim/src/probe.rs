@@ -3,8 +3,8 @@
 use proto::ActionSpec;
 
 use crate::config::{
-    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
-    RootView, TaskConfig, TaskDefinition,
+    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
+    TaskDefinition,
 };
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::simulation::environments;
@@ -47,9 +47,8 @@ fn trace(
     definition: Option<TaskDefinition>,
     observation: ObservationConfig,
 ) -> Option<Vec<u8>> {
-    let partition = PartitionSemantics::ActuatorSlices;
     let task = task.to_owned();
-    let config = TaskConfig { task, definition, observation, partition };
+    let config = TaskConfig { task, definition, observation };
     let mut environments = environments(&config, 2).ok()?;
     let mut numbers = Vec::new();
     for (environment, limit) in [(0, u32::MAX), (1, LIMIT)] {

@@ -9,7 +9,7 @@ use sim::{Outcome, Robot, World};
 fn stepping_a_slot_allocates_only_in_the_physics_engine() {
     for task in ["halfcheetah-2x3", "walker2d-2x3", "ant-2x4"] {
         let config = serde_json::from_value(serde_json::json!({
-            "task": task, "partition": "actuator_slices",
+            "task": task,
             "observation": {
                 "mode": "full_id", "norm": "feature_z", "nearest": 1, "globals": "hidden",
                 "contact_forces": "real",

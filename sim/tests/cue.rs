@@ -14,7 +14,7 @@ fn config(norm: &str) -> TaskConfig {
         "mode": "full_id", "norm": norm, "nearest": 1, "globals": "hidden", "contact_forces": "absent",
     });
     let task = json!({
-        "task": "cue-2x1", "observation": observation, "partition": "actuator_slices",
+        "task": "cue-2x1", "observation": observation,
     });
     serde_json::from_value(task).unwrap()
 }

@@ -12,9 +12,7 @@ fn game(count: usize) -> Box<dyn EnvironmentBatch> {
     let observation = json!({
         "mode": "full_id", "norm": "none", "nearest": 1, "globals": "hidden", "contact_forces": "absent",
     });
-    let task = json!({
-        "task": "signal-2x1", "observation": observation, "partition": "actuator_slices",
-    });
+    let task = json!({"task": "signal-2x1", "observation": observation});
     sim::environments(&serde_json::from_value(task).unwrap(), count).unwrap()
 }
 

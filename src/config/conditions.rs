@@ -3,7 +3,7 @@
 use std::fmt;
 
 use Condition::{Above0, Environment, Filled, Is, Not, Zero};
-use Property::{Contacts, Continuous, Labels, Robot, Several};
+use Property::{Contacts, Continuous, Robot, Several};
 
 /// What a setting needs for an effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,8 +29,6 @@ pub(super) enum Property {
     Robot,
     /// A robot whose task supports contact forces.
     Contacts,
-    /// A robot whose joints are not in the order of the partition's labels.
-    Labels,
     /// Agents with continuous actions.
     Continuous,
     /// Several agents.
@@ -63,7 +61,6 @@ impl fmt::Display for Condition {
             Self::Environment(property) => f.write_str(match property {
                 Property::Robot => "a robot of the simulator",
                 Property::Contacts => "a robot whose task supports contact forces, such as ant-4x2",
-                Property::Labels => "a task whose labels and actuators have different orders",
                 Property::Continuous => "continuous actions",
                 Property::Several => "several agents",
             }),
@@ -78,10 +75,8 @@ const GRU: Condition = Is("policy.core", &["gru"]);
 const MLP: Condition = Is("policy.core", &["mlp"]);
 const SURPRISE: Condition = Above0("surprise.alpha");
 const INFLUENCE: Condition = Above0("influence.lambda");
-/// Estimators with a posterior that is trained.
-const LEARNT: Condition = Is("influence.estimator", &["variational_kl", "barber_agakov"]);
-/// Estimators that are maximised up to a limit.
-const CAPPED: Condition = Is("influence.estimator", &["variational_kl", "count"]);
+/// The estimator with a posterior that is trained.
+const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
 const MLE: Condition = Is("influence.q_training", &["mle"]);
 
 /// The conditions of one alternative must all hold, and one alternative is enough.
@@ -96,19 +91,12 @@ pub(super) const TABLE: &[(&[&str], Alternatives)] = &[
     (&["observation.mode"], &[&[Environment(Robot)]]),
     (
         &["observation.nearest", "observation.globals"],
-        &[
-            &[Environment(Robot), Is("observation.mode", &["k_nearest"])],
-            &[Environment(Robot), SURPRISE, Is("surprise.space", &["local"])],
-        ],
+        &[&[Environment(Robot), Is("observation.mode", &["k_nearest"])]],
     ),
     (&["observation.contact_forces"], &[&[Environment(Contacts)]]),
-    (&["partition.semantics"], &[&[Environment(Labels)]]),
     (&["policy.encoder", "policy.hidden"], &[&[GRU]]),
     (&["policy.width", "policy.layers"], &[&[MLP]]),
-    (
-        &["policy.initial_sigma", "policy.sigma_scale", "policy.sigma_floor"],
-        &[&[ON_POLICY, Environment(Continuous)]],
-    ),
+    (&["policy.sigma_scale", "policy.sigma_floor"], &[&[ON_POLICY, Environment(Continuous)]]),
     (&["update.parameters"], &[&[Environment(Several)]]),
     (
         &[
@@ -116,7 +104,6 @@ pub(super) const TABLE: &[(&[&str], Alternatives)] = &[
             "update.clip",
             "update.epochs",
             "update.minibatches",
-            "update.target_kl",
             "update.entropy",
             "update.desired_kl",
             "critic.input_norm",
@@ -128,41 +115,12 @@ pub(super) const TABLE: &[(&[&str], Alternatives)] = &[
         ],
         &[&[ON_POLICY]],
     ),
-    (&["critic.mode"], &[&[SURPRISE], &[Is("critic.input", &["observation"])]]),
-    (
-        &[
-            "surprise.density",
-            "surprise.fit",
-            "surprise.space",
-            "surprise.obs",
-            "surprise.reduce",
-            "surprise.constant",
-            "surprise.clip",
-            "surprise.mask_below",
-        ],
-        &[&[SURPRISE]],
-    ),
-    (
-        &["surprise.feature_sigma_floor"],
-        &[&[SURPRISE, Is("surprise.density", &["diagonal_gaussian", "vae"])]],
-    ),
-    (&["surprise.ema_memory"], &[&[SURPRISE, Is("surprise.fit", &["ema"])]]),
-    (
-        &[
-            "surprise.vae.hidden",
-            "surprise.vae.latent",
-            "surprise.vae.epochs",
-            "surprise.vae.minibatches",
-            "surprise.vae.learning_rate",
-        ],
-        &[&[SURPRISE, Is("surprise.density", &["vae"])]],
-    ),
+    (&["surprise.density"], &[&[SURPRISE]]),
     (&["influence.lambda"], &[&[Environment(Several)]]),
     (
-        &["influence.estimator", "influence.divergence", "influence.q_training", "influence.lag"],
+        &["influence.estimator", "influence.q_training", "influence.lag", "influence.kappa"],
         &[&[INFLUENCE, Environment(Several)]],
     ),
-    (&["influence.kappa"], &[&[INFLUENCE, CAPPED, Environment(Several)]]),
     (&["influence.encoder", "influence.hidden"], &[&[INFLUENCE, LEARNT, Environment(Several)]]),
     (
         &["influence.posterior_sigma_floor"],
@@ -176,10 +134,6 @@ pub(super) const TABLE: &[(&[&str], Alternatives)] = &[
             "influence.holdout_every",
         ],
         &[&[INFLUENCE, LEARNT, MLE, Environment(Several)]],
-    ),
-    (
-        &["influence.counted_state"],
-        &[&[INFLUENCE, Is("influence.estimator", &["count"]), Environment(Several)]],
     ),
     (
         &[

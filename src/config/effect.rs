@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use std::fmt;
 
 use proto::EnvironmentSpec;
-use sim::{ContactForces, ObservationMode, ObservationNorm, PartitionSemantics, TaskConfig};
+use sim::{ContactForces, ObservationMode, ObservationNorm, TaskConfig};
 
 use super::conditions::{Condition, Property, TABLE};
 use super::error::ConfigError;
@@ -53,17 +53,10 @@ impl<'a> Run<'a> {
     fn has(&self, property: Property) -> bool {
         let is_outside = !self.resolved.text(URL).is_empty();
         match property {
-            Property::Robot | Property::Contacts | Property::Labels if is_outside => false,
+            Property::Robot | Property::Contacts if is_outside => false,
             Property::Robot => self.simulated().is_none_or(|(_, is_robot)| *is_robot),
             Property::Contacts => {
                 self.changes(|task| task.observation.contact_forces = ContactForces::Zeros)
-            }
-            Property::Labels => {
-                let slices = |task: &mut TaskConfig| {
-                    task.partition = PartitionSemantics::ActuatorSlices;
-                };
-                let labels = |task: &mut TaskConfig| task.partition = PartitionSemantics::Labels;
-                self.changes(slices) || self.changes(labels)
             }
             Property::Continuous => self
                 .environment(|spec| spec.agents.iter().any(|agent| agent.action.choices.is_none())),

@@ -1,7 +1,5 @@
 //! Configuration errors, each with the place where the user wrote the setting.
 
-use super::keys;
-
 /// A configuration that cannot be used. Each message is one line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ConfigError {
@@ -22,16 +20,6 @@ pub(crate) enum ConfigError {
         key: String,
         /// The known key that is spelled most alike.
         nearest: Option<String>,
-    },
-    /// A key of an earlier version.
-    #[error("{place}: `{key}` is called `{now}` now{}", keys::other_meaning(.now))]
-    Renamed {
-        /// Layer that sets the key.
-        place: String,
-        /// Dotted path.
-        key: String,
-        /// Its new name.
-        now: &'static str,
     },
     /// A value of another kind than the default's.
     #[error("{place}: `{key}` must be {expected}, found {found}")]

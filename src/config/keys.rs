@@ -11,58 +11,22 @@ const FOLDER: &str = "run.dir";
 /// Key of the URL of the program that provides the environment; empty for the simulator.
 pub(crate) const URL: &str = "environment_service.url";
 
-/// Key of the environments of a slot, and of those of the run, of which they are a divisor. Earlier versions hashed it as a
-/// semantic key.
-pub(crate) const PER_SLOT: (&str, &str) = ("environments.per_slot", "environments.count");
+/// Key of the environments of a slot.
+pub(crate) const PER_SLOT: &str = "environments.per_slot";
 
 /// Keys and sections that affect where and when a run computes, never its result.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     FOLDER,
     URL,
-    PER_SLOT.0,
+    PER_SLOT,
     "lease.",
     "audit.",
     "evaluation.",
     "checkpoint.",
-    "metrics.",
     "learner.",
     "log.",
 ];
-
-/// Keys that had another name in an earlier version, and their name now.
-const RENAMED: &[(&str, &str)] = &[
-    ("environment.url", URL),
-    ("environment.description", "environment_service.description"),
-    ("environments.chunk_steps", "environments.message_steps"),
-    ("policy.chunk_steps", "policy.backpropagation_steps"),
-    ("policy.initial_log_std", "policy.initial_sigma"),
-    ("surprise.sigma_floor", "surprise.feature_sigma_floor"),
-    ("surprise.vae_hidden", "surprise.vae.hidden"),
-    ("surprise.vae_latent", "surprise.vae.latent"),
-    ("surprise.vae_epochs", "surprise.vae.epochs"),
-    ("surprise.vae_minibatches", "surprise.vae.minibatches"),
-    ("surprise.vae_learning_rate", "surprise.vae.learning_rate"),
-    ("influence.sigma_floor", "influence.posterior_sigma_floor"),
-];
-
-/// The new name of a key of an earlier version.
-pub(crate) fn renamed(key: &str) -> Option<&'static str> {
-    RENAMED.iter().find(|(old, _)| *old == key).map(|(_, now)| *now)
-}
-
-/// How the value of a renamed key differs from the old one, for messages.
-pub(crate) fn other_meaning(now: &str) -> &'static str {
-    match now {
-        "policy.initial_sigma" => ", and is sigma itself: sigmoid(initial_log_std) * sigma_scale",
-        _ => "",
-    }
-}
-
-/// Semantic keys that a later version added, each with the value that means what earlier versions did, as TOML writes it.
-/// With that value the key takes no part in the hash of the settings, so runs of earlier versions can be resumed.
-pub(crate) const ADDED: &[(&str, &str)] =
-    &[("task_file.text", "\"\""), ("task_file.model", "\"\""), ("critic.core", "\"mlp\"")];
 
 /// The settings that have no effect because `key` has this `value`, which is the purpose of the value.
 pub(super) fn switched_off(key: &str, value: &Scalar) -> &'static [&'static str] {
@@ -142,16 +106,12 @@ mod tests {
 
     #[test]
     fn a_word_that_shares_few_letters_with_a_key_suggests_none() {
-        let keys =
-            ["update.gamma", "update.gae_lambda", "audit.share", "surprise.feature_sigma_floor"];
-        for word in ["score", "gammas_and_more", "ga", "entropy.feature_sigma_flavour"] {
+        let keys = ["update.gamma", "update.gae_lambda", "audit.share", "critic.max_gradient_norm"];
+        for word in ["score", "gammas_and_more", "ga", "entropy.max_gradiant_normal"] {
             assert_eq!(nearest(word, keys), None, "{word}");
         }
         assert_eq!(nearest("gama", keys), Some("update.gamma"));
-        assert_eq!(
-            nearest("surprize.feature_sigma_flor", keys),
-            Some("surprise.feature_sigma_floor")
-        );
+        assert_eq!(nearest("critik.max_gradient_nrm", keys), Some("critic.max_gradient_norm"));
     }
 
     #[test]
@@ -171,15 +131,6 @@ mod tests {
         let document = include_str!("../../docs/USING.md");
         for named in free_on_resume().split(", ") {
             assert!(document.contains(&format!("`{named}`")), "{named}");
-        }
-    }
-
-    #[test]
-    fn a_renamed_key_is_known_by_its_new_name_alone() {
-        let defaults = crate::config::layers::defaults();
-        for (old, now) in RENAMED {
-            assert!(!defaults.entries.contains_key(*old), "{old}");
-            assert!(defaults.entries.contains_key(*now), "{now}");
         }
     }
 

@@ -189,9 +189,8 @@ fn task_layers(
         let task = chosen("task", presets::TASKS, base, asked)?;
         return Ok((task.name.to_owned(), vec![preset_layer(task, schema)?]));
     };
-    let general = preset_layer(presets::OWN_TASK, schema)?;
     let settings = laid_out(&own.place, &own.settings()?, schema)?;
-    Ok((own.name.clone(), vec![general, Layer { source: Source::User, ..settings }]))
+    Ok((own.name.clone(), vec![Layer { source: Source::User, ..settings }]))
 }
 
 /// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one algorithm
@@ -254,8 +253,7 @@ fn preset_layer(preset: Preset, schema: &Schema) -> Result<Layer, ConfigError> {
 fn given_file(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
     let (place, text) = read(path)?;
     let layer = table_layer(&place, &text, schema)?;
-    let is_later = |key: &str| keys::ADDED.iter().any(|(added, _)| *added == key);
-    let mut semantic = schema.keys().filter(|key| keys::is_semantic(key) && !is_later(key));
+    let mut semantic = schema.keys().filter(|key| keys::is_semantic(key));
     let source = match semantic.all(|key| layer.values.contains_key(key)) {
         _ if presets::is_text_of_one(&text) => Source::Program,
         true => Source::Repeated,
@@ -276,26 +274,10 @@ fn read(path: &Path) -> Result<(String, String), ConfigError> {
     Ok((place, text))
 }
 
-/// Settings that runs of earlier versions hold and that nothing reads any more, each with a value of its kind.
-const RETIRED: [(&str, Scalar); 3] = [
-    ("update.shards", Scalar::Integer(0)),
-    ("schedule", Scalar::Text(String::new())),
-    ("overlap.factor_max", Scalar::Float(0.0)),
-];
-
-/// The settings of a run folder, which an earlier version may have written.
+/// The settings of a run folder.
 fn run_layer(path: &Path, schema: &Schema) -> Result<Layer, ConfigError> {
-    let mut known = schema.clone();
-    known.extend(RETIRED.map(|(key, kind)| (key.to_owned(), kind)));
     let (place, text) = read(path)?;
-    let mut layer = table_layer(&place, &text, &known)?;
-    layer.values.retain(|key, _| schema.contains_key(key));
-    for (key, value) in keys::ADDED {
-        if let (Some(kind), false) = (schema.get(*key), layer.values.contains_key(*key)) {
-            layer.values.extend(Scalar::parse(value, kind).map(|value| ((*key).to_owned(), value)));
-        }
-    }
-    Ok(layer)
+    table_layer(&place, &text, schema)
 }
 
 fn table_layer(place: &str, text: &str, schema: &Schema) -> Result<Layer, ConfigError> {
@@ -348,9 +330,6 @@ fn known<'a>(place: &str, key: &str, schema: &'a Schema) -> Result<&'a Scalar, C
             expected,
             found: "a value".into(),
         });
-    }
-    if let Some(now) = keys::renamed(key) {
-        return Err(ConfigError::Renamed { place, key: key.to_owned(), now });
     }
     let nearest = keys::nearest(key, schema.keys().map(String::as_str)).map(str::to_owned);
     Err(ConfigError::UnknownKey { place, key: key.to_owned(), nearest })

@@ -28,13 +28,6 @@ pub(crate) const BASE: Preset = Preset {
     text: include_str!("../../configs/base.toml"),
 };
 
-/// Settings for a task that is not part of the program.
-pub(crate) const OWN_TASK: Preset = Preset {
-    name: "own-task",
-    path: "configs/own-task.toml",
-    text: include_str!("../../configs/own-task.toml"),
-};
-
 /// Settings per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":
@@ -68,7 +61,7 @@ pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
 /// Whether this is the text of a file of the program, which somebody gave by its path.
 pub(crate) fn is_text_of_one(text: &str) -> bool {
     let named = [TASKS, ALGORITHMS, PRESETS].into_iter().flatten();
-    named.chain([&BASE, &OWN_TASK]).any(|preset| preset.text == text)
+    named.chain([&BASE]).any(|preset| preset.text == text)
 }
 
 #[cfg(test)]

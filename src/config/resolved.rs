@@ -135,40 +135,10 @@ impl Resolved {
     }
 
     /// SHA-256 over `key = value` lines of the semantic keys. Length and run folder are excluded.
-    /// Keys of later versions that keep the earlier meaning are excluded too.
     pub(crate) fn sha256(&self) -> [u8; 32] {
-        self.sha256_without(keys::ADDED)
-    }
-
-    /// The hash under which a run with these settings is recorded: `recorded` if an earlier version gave it to them, otherwise
-    /// [`Self::sha256`].
-    pub(crate) fn sha256_as(&self, recorded: &str) -> [u8; 32] {
-        self.sha256s().find(|sha256| hex(sha256) == recorded).unwrap_or_else(|| self.sha256())
-    }
-
-    /// [`Self::sha256`], then the hashes that earlier versions gave to such settings. They hashed the environments of a slot,
-    /// which may have changed since, so every possible number is tried.
-    pub(crate) fn sha256s(&self) -> impl Iterator<Item = [u8; 32]> {
-        let (key, whole) = keys::PER_SLOT;
-        let count = match self.entries.get(whole).map(|entry| &entry.value) {
-            Some(Scalar::Integer(count)) => *count,
-            _ => 0,
-        };
-        let earlier = (1..=count).filter(move |size| count % size == 0).map(move |size| {
-            let mut lines = self.lines_without(keys::ADDED);
-            lines.insert(key, size.to_string());
-            hash(&lines)
-        });
-        std::iter::once(self.sha256()).chain(earlier)
-    }
-
-    fn sha256_without(&self, added: &[(&str, &str)]) -> [u8; 32] {
-        hash(&self.lines_without(added))
-    }
-
-    fn lines_without(&self, added: &[(&str, &str)]) -> BTreeMap<&str, String> {
-        let all = self.semantic().map(|(key, value)| (key, value.to_string()));
-        all.filter(|(key, value)| !added.contains(&(key, value.as_str()))).collect()
+        let mut hasher = Sha256::new();
+        self.semantic().for_each(|(key, value)| hasher.update(format!("{key} = {value}\n")));
+        hasher.finalize().into()
     }
 
     /// The settings as TOML that can be read again.
@@ -200,50 +170,10 @@ impl Resolved {
     }
 }
 
-fn hash(lines: &BTreeMap<&str, String>) -> [u8; 32] {
-    let mut hasher = Sha256::new();
-    lines.iter().for_each(|(key, value)| hasher.update(format!("{key} = {value}\n")));
-    hasher.finalize().into()
-}
-
 fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
     push_text(text, &format!("{name} = {}{comment}\n", entry.value));
 }
 
 fn push_text(text: &mut String, more: &str) {
     text.write_str(more).expect("writing to a string cannot fail");
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_run_of_an_earlier_version_keeps_the_hash_that_covered_the_environments_of_a_slot() {
-        let integer = |value| Entry { value: Scalar::Integer(value), origin: String::new() };
-        let with = |count| {
-            let entries = [("environments.count", count), ("environments.per_slot", 0)];
-            let entries = entries.map(|(key, value)| (key.to_owned(), integer(value)));
-            Resolved { entries: BTreeMap::from(entries), given: BTreeMap::new() }
-        };
-        let recorded = hex(&hash(&BTreeMap::from([
-            ("environments.count", "20".to_owned()),
-            ("environments.per_slot", "2".to_owned()),
-        ])));
-        assert_eq!(hex(&with(20).sha256_as(&recorded)), recorded);
-        assert_eq!(with(40).sha256_as(&recorded), with(40).sha256());
-        assert_eq!(with(20).sha256_as("another"), with(20).sha256());
-    }
-
-    #[test]
-    fn a_key_of_a_later_version_leaves_the_hash_as_long_as_it_keeps_the_earlier_meaning() {
-        let with = |value: Option<i64>| {
-            let integer = |value| Entry { value: Scalar::Integer(value), origin: String::new() };
-            let mut entries = BTreeMap::from([("update.epochs".to_owned(), integer(5))]);
-            entries.extend(value.map(|value| ("update.new".to_owned(), integer(value))));
-            Resolved { entries, given: BTreeMap::new() }.sha256_without(&[("update.new", "0")])
-        };
-        assert_eq!(with(Some(0)), with(None));
-        assert_ne!(with(Some(1)), with(None));
-    }
 }

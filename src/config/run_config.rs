@@ -44,13 +44,13 @@ pub(crate) struct RunConfig {
     pub(crate) run: RunSection,
     /// Section `environment_service`.
     pub(crate) environment: EnvironmentSection,
-    /// `task` and sections `observation`, `partition`.
+    /// `task` and section `observation`.
     pub(crate) task: sim::TaskConfig,
     /// Section `policy`.
     pub(crate) policy: policy::PolicyConfig,
     /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
     pub(crate) training: marl::Config,
-    /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `metrics`, `learner`.
+    /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `learner`.
     pub(crate) learner: learner::config::Config,
     /// Section `log`.
     pub(crate) log: recording::trajectory_log::LogSettings,
@@ -83,15 +83,7 @@ impl RunConfig {
             training: sections(resolved, &["update", "critic", "surprise", "influence", "maddpg"])?,
             learner: sections(
                 resolved,
-                &[
-                    "environments",
-                    "lease",
-                    "audit",
-                    "evaluation",
-                    "checkpoint",
-                    "metrics",
-                    "learner",
-                ],
+                &["environments", "lease", "audit", "evaluation", "checkpoint", "learner"],
             )?,
             log: section(resolved, "log")?,
             resolved: resolved.clone(),
@@ -176,8 +168,6 @@ impl RunConfig {
 fn task(resolved: &Resolved) -> Result<sim::TaskConfig, String> {
     let mut table = tables(resolved, &["observation"]);
     table.insert("task".to_owned(), toml::Value::String(resolved.text("task").to_owned()));
-    let semantics = toml::Value::String(resolved.text("partition.semantics").to_owned());
-    table.insert("partition".to_owned(), semantics);
     let (file, model) = (resolved.text(own_task::FILE), resolved.text(own_task::MODEL));
     if !file.is_empty() {
         let texts = [("file", file), ("model", model)];
@@ -361,18 +351,11 @@ mod tests {
             ("run.actors=100000", "run.actors"),
             ("run.env_steps=0", "run.env_steps"),
             ("surprise.density=oracle", "surprise.density"),
-            ("surprise.density=categorical", "surprise.constant"),
-            ("surprise.vae.latent=0", "surprise.vae.latent"),
-            ("surprise.clip=-1", "surprise.clip"),
+            ("surprise.alpha=-1", "surprise.alpha"),
             ("influence.kappa=-1", "influence.kappa"),
             ("influence.lag=2", "influence.lag"),
             ("influence.estimator=count", "influence.estimator"),
-            ("policy.burn_in=15", "policy.burn_in"),
-            ("policy.burn_in=100000", "policy.burn_in"),
-            ("policy.refresh_hidden=always", "policy.refresh_hidden"),
-            ("influence.estimator=barber_agakov", "influence.divergence"),
             ("lease.ttl_secs=0", "lease.ttl_secs"),
-            ("update.target_kl=-1", "update.target_kl"),
             ("critic.clip=-1", "critic.clip"),
             ("maddpg.replay=2000000", "maddpg.replay"),
             ("maddpg.polyak=0", "maddpg.polyak"),

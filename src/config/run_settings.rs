@@ -33,8 +33,7 @@ pub(crate) fn config_of_run(folder: &Path) -> Result<RunConfig, ConfigError> {
 /// Refuses settings with another hash than the run's manifest records.
 fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
     let recorded = RunFolder::recorded_config_sha256(folder);
-    let found = config.resolved.sha256_as(recorded.as_deref().unwrap_or_default());
-    let found = policy::arrays::hex(&found);
+    let found = policy::arrays::hex(&config.resolved.sha256());
     match recorded {
         Some(expected) if expected != found => {
             let detail = format!(
@@ -48,4 +47,25 @@ fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig,
 
 fn unreadable(file: &Path, detail: String) -> ConfigError {
     ConfigError::Unreadable { place: file.display().to_string(), detail }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Request, layers};
+
+    #[test]
+    fn a_folder_with_other_settings_than_its_manifest_records_is_refused() {
+        let resolved = layers::resolve(&Request::default()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(CONFIG), resolved.to_toml()).unwrap();
+        let read = |recorded: &str| {
+            let manifest = serde_json::json!({"config_sha256": recorded}).to_string();
+            std::fs::write(folder.path().join(MANIFEST), manifest).unwrap();
+            settings_of_run(folder.path())
+        };
+        assert!(read(&policy::arrays::hex(&resolved.sha256())).is_ok());
+        let refusal = read(&"ab".repeat(32)).unwrap_err().to_string();
+        assert!(refusal.contains("these are not the run's settings"), "{refusal}");
+    }
 }

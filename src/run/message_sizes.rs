@@ -112,7 +112,7 @@ fn refused(
         return ConfigError::Refused { place: origin(URL), key: URL.to_owned(), detail };
     };
     let sizes = [
-        (keys::PER_SLOT.0, now.per_slot, fitting.per_slot),
+        (keys::PER_SLOT, now.per_slot, fitting.per_slot),
         (MESSAGE, now.message, fitting.message),
         (WINDOW, now.window, fitting.window),
     ];

@@ -108,7 +108,7 @@ mod tests {
             error.to_string(),
             "command line: `update.clip` cannot change on resume: the run has 0.1, found 0.3; \
              a resume may change run.actors, environment_service.url, environments.per_slot, lease.*, audit.*, \
-             evaluation.*, checkpoint.*, metrics.*, learner.*, log.*, and raise run.iterations or run.env_steps"
+             evaluation.*, checkpoint.*, learner.*, log.*, and raise run.iterations or run.env_steps"
         );
         let error = check(&old, &config(&["run.iterations=5", "run.seed=2"])).unwrap_err();
         assert!(error.to_string().contains("`run.seed`"), "{error}");

@@ -45,7 +45,7 @@ async fn an_actor_lost_during_a_slot_is_logged_with_the_slot() {
 #[tokio::test]
 async fn an_expired_lease_is_logged() {
     let folder = tempfile::tempdir().unwrap();
-    let short = ["lease.ttl_secs=0.4", "lease.heartbeat_secs=0.1"].map(str::to_owned);
+    let short = ["lease.ttl_secs=0.4".to_owned()];
     let learner = Learner::start(&folder.path().join("run"), &short);
     let mut attacker = Attacker::connect(&learner.url).await;
     let (actor, lease) = (attacker.own.actor, attacker.lease().await.id);

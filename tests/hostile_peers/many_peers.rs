@@ -13,7 +13,7 @@ const PEERS: usize = 200;
 const MOST_MIB_EACH: u64 = 1;
 
 /// Weights of a few hundred kilobytes, more than a peer's flow-control window, and short leases.
-const SETTINGS: [&str; 3] = ["policy.hidden=128", "lease.ttl_secs=2", "lease.heartbeat_secs=0.5"];
+const SETTINGS: [&str; 2] = ["policy.hidden=128", "lease.ttl_secs=2"];
 /// Initial window size of HTTP/2, bytes.
 const WINDOW: u32 = 65_535;
 

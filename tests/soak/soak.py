@@ -41,7 +41,6 @@ SETTINGS = [
     "evaluation.episodes=1",
     "checkpoint.every=5",
     f"lease.ttl_secs={LEASE_SECS}",
-    "lease.heartbeat_secs=0.5",
 ]
 DEATHS = ["after-collect", "mid-update", "after-publish", "mid-checkpoint"]
 FULL_DISKS = ["MakeFolder", "WriteFile", "FlushFiles", "Rename", "RemoveOld"]

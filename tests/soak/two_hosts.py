@@ -36,7 +36,6 @@ SETTINGS = [
     "evaluation.every_steps=1600",
     "evaluation.episodes=1",
     "lease.ttl_secs=1",
-    "lease.heartbeat_secs=0.2",
 ]
 
 

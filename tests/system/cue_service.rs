@@ -73,7 +73,6 @@ fn environment() -> Box<dyn EnvironmentBatch> {
         "observation": {
             "mode": "full_id", "norm": "none", "nearest": 1, "globals": "shown", "contact_forces": "absent",
         },
-        "partition": "actuator_slices",
     });
     let task: TaskConfig = serde_json::from_value(task).unwrap();
     sim::environments(&task, 1).unwrap()

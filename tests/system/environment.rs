@@ -175,13 +175,7 @@ fn refusal(faults: Faults) -> String {
     let folder = runs.folder("refused");
     let output = s2mia(&settings(
         &dir(&folder),
-        &[
-            "run.actors=1",
-            "lease.ttl_secs=1",
-            "lease.heartbeat_secs=0.2",
-            "--environment",
-            &service.url,
-        ],
+        &["run.actors=1", "lease.ttl_secs=1", "--environment", &service.url],
     ));
     assert_eq!(output.status.code(), Some(1));
     String::from_utf8(output.stderr).unwrap().lines().last().unwrap().to_owned()

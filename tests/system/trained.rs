@@ -27,7 +27,6 @@ pub(crate) fn world(folder: &Path) -> Box<dyn EnvironmentBatch> {
         task: settings["task"].as_str().unwrap().to_owned(),
         definition: None,
         observation: settings["observation"].clone().try_into().unwrap(),
-        partition: settings["partition"]["semantics"].clone().try_into().unwrap(),
     };
     sim::environments(&task, 1).unwrap()
 }

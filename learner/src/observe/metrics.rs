@@ -1,8 +1,8 @@
 //! `metrics.jsonl`: one line per iteration and one per evaluation, each exactly once.
 //!
 //! `iteration` is the number of finished iterations: in the line of an iteration, including that one; in the line of an
-//! evaluation, that of the evaluated policies. If enabled, `tensorboard/` contains the same figures. It is written anew
-//! from the lines when a run starts or resumes, so that it also shows each iteration once.
+//! evaluation, that of the evaluated policies. `tensorboard/` contains the same figures. It is written anew from the lines
+//! when a run starts or resumes, so that it also shows each iteration once.
 
 mod curves;
 mod event_file;
@@ -17,7 +17,6 @@ use serde_json::{Value, json};
 
 pub use self::curves::{Curve, Curves};
 use self::event_file::EventFile;
-use crate::config::MetricsConfig;
 use crate::observe::event::{EvaluationReport, IterationReport};
 use crate::store::durable::FileError;
 use crate::store::json_lines::{JsonLines, iterations};
@@ -27,6 +26,7 @@ use crate::store::run_folder::{METRICS, TENSORBOARD};
 #[derive(Debug)]
 pub struct Metrics {
     lines: JsonLines,
+    /// `None` once a line could not be written.
     events: Option<EventFile>,
     curves: Arc<Mutex<Curves>>,
 }
@@ -37,22 +37,14 @@ impl Metrics {
     ///
     /// # Errors
     /// A file cannot be read or written.
-    pub fn open(
-        run_folder: &Path,
-        config: &MetricsConfig,
-        iteration: u64,
-    ) -> Result<(Self, BTreeSet<u64>), FileError> {
+    pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, BTreeSet<u64>), FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS), iteration)?;
         lines.warn_of_gaps(&kept, iteration);
         let measured = iterations(&kept, "evaluation");
-        let events = if config.tensorboard {
-            Some(EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?)
-        } else {
-            None
-        };
+        let events = EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?;
         let mut curves = Curves::default();
         kept.iter().for_each(|line| curves.add(line));
-        Ok((Self { lines, events, curves: Arc::new(Mutex::new(curves)) }, measured))
+        Ok((Self { lines, events: Some(events), curves: Arc::new(Mutex::new(curves)) }, measured))
     }
 
     /// The curves of all figures, those before a resume included. They are updated while the run continues.
@@ -116,8 +108,6 @@ mod tests {
     use super::*;
     use crate::observe::event::Spread;
 
-    const ALL: MetricsConfig = MetricsConfig { tensorboard: true };
-
     fn report(iteration: u64) -> IterationReport {
         IterationReport {
             iteration,
@@ -137,7 +127,7 @@ mod tests {
     #[test]
     fn a_line_contains_every_figure_by_name() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut metrics, _) = Metrics::open(folder.path(), &ALL, 0).unwrap();
+        let (mut metrics, _) = Metrics::open(folder.path(), 0).unwrap();
         metrics.iteration(&report(1)).unwrap();
         let text = std::fs::read_to_string(folder.path().join(METRICS)).unwrap();
         let expected = json!({
@@ -153,7 +143,7 @@ mod tests {
     #[test]
     fn a_resumed_run_knows_which_evaluations_are_finished() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut metrics, measured) = Metrics::open(folder.path(), &ALL, 0).unwrap();
+        let (mut metrics, measured) = Metrics::open(folder.path(), 0).unwrap();
         assert!(measured.is_empty());
         let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
         for iteration in [0, 2, 4] {
@@ -162,18 +152,7 @@ mod tests {
             metrics.evaluation(&evaluation).unwrap();
             metrics.iteration(&report(iteration + 1)).unwrap();
         }
-        let (_, measured) = Metrics::open(folder.path(), &ALL, 3).unwrap();
+        let (_, measured) = Metrics::open(folder.path(), 3).unwrap();
         assert_eq!(measured, BTreeSet::from([0, 2]));
-    }
-
-    #[test]
-    fn a_disabled_event_file_is_not_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let none = MetricsConfig { tensorboard: false };
-        let (mut metrics, _) = Metrics::open(folder.path(), &none, 0).unwrap();
-        metrics.iteration(&report(1)).unwrap();
-        let names =
-            std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
-        assert_eq!(names.collect::<Vec<_>>(), [METRICS]);
     }
 }

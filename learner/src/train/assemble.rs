@@ -11,9 +11,6 @@ use crate::lease::slots::SlotRollout;
 /// The environment as the algorithm sees it: sizes, kinds of actions, and which features carry a signal.
 #[must_use]
 pub fn problem(environment: &EnvironmentSpec) -> Problem {
-    let is_signal = |place: &usize| environment.state[*place].role == FeatureRole::Signal;
-    let signals =
-        |places: &[usize]| -> Vec<usize> { places.iter().copied().filter(is_signal).collect() };
     let shape = |agent: &AgentSpec| AgentShape {
         observation: agent.observation.len(),
         action: agent.action.size,
@@ -25,8 +22,6 @@ pub fn problem(environment: &EnvironmentSpec) -> Problem {
         surprise_features: (0..agent.observation.len())
             .filter(|&index| agent.observation[index].role == FeatureRole::Signal)
             .collect(),
-        seen: signals(&agent.seen),
-        near: signals(&agent.near),
     };
     Problem {
         agents: environment.agents.iter().map(shape).collect(),

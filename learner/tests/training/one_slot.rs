@@ -47,7 +47,7 @@ pub(crate) fn origin() -> RolloutOrigin {
 
 /// An exchange that waits for the slot.
 pub(crate) fn exchange(run: RunDescription, policy: &PolicySnapshot) -> Arc<Exchange> {
-    let lease = LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 };
+    let lease = LeaseConfig { ttl_secs: 20.0 };
     let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
     let exchange = Exchange::new(run, lease, audit, toy::states());
     exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use learner::config::{
     AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint,
-    LeaseConfig, MetricsConfig, Phase, ThreadsConfig,
+    LeaseConfig, Phase, ThreadsConfig,
 };
 use learner::launch::Launch;
-use policy::{CoreKind, InputNorm, PolicyConfig, RefreshHidden, RunSeed};
+use policy::{CoreKind, InputNorm, PolicyConfig, RunSeed};
 use proto::Digest;
 use serde_json::json;
 
@@ -51,11 +51,10 @@ fn config() -> Config {
             message_steps: 4,
             phase: Phase::Staggered,
         },
-        lease: LeaseConfig { ttl_secs: 20.0, heartbeat_secs: 5.0 },
+        lease: LeaseConfig { ttl_secs: 20.0 },
         audit: AuditConfig { share: 0.5, fingerprint: Fingerprint::Optional },
         evaluation: EvaluationConfig { every_steps: 64, episodes: 3, sampled: false },
-        checkpoint: CheckpointConfig { every: 2, keep_last: 3, keep_every: 0 },
-        metrics: MetricsConfig { tensorboard: true },
+        checkpoint: CheckpointConfig { every: 2, keep_last: 3 },
         learner: ThreadsConfig { threads: 2, connections: 16, other_builds: false },
     }
 }
@@ -69,9 +68,6 @@ fn policy() -> PolicyConfig {
         width: 8,
         layers: 1,
         backpropagation_steps: 2,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 0.01,
@@ -85,25 +81,22 @@ fn training() -> marl::Config {
         "update": {
             "rule": "happo", "parameters": "separate", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
             "learning_rate_decay": "none",
-            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "target_kl": 0.0, "desired_kl": 0.0, "entropy": 0.0,
+            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "desired_kl": 0.0, "entropy": 0.0,
             "max_gradient_norm": 10.0,
         },
         "critic": {
-            "mode": "per_agent", "input": "state", "core": "gru", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
+            "core": "gru", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
             "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
             "state_norm": "none", "max_gradient_norm": 10.0,
         },
         "surprise": {
-            "alpha": 0.01, "density": "vae", "fit": "previous", "ema_memory": 0.9,
-            "space": "policy_obs", "obs": "current", "reduce": "sum", "constant": "centered", "clip": 0.0,
-            "feature_sigma_floor": 0.01, "mask_below": 1e-4,
-            "vae": { "hidden": 8, "latent": 2, "epochs": 1, "minibatches": 2, "learning_rate": 1e-3 },
+            "alpha": 0.01, "density": "vae",
         },
         "influence": {
-            "lambda": 0.01, "estimator": "variational_kl", "divergence": "kl_qp",
+            "lambda": 0.01, "estimator": "variational_kl",
             "q_training": "mle", "kappa": 1.0, "encoder": 8, "hidden": 8, "epochs": 2,
             "learning_rate": 5e-4, "minibatches": 1, "posterior_sigma_floor": 0.05, "holdout_every": 2,
-            "lag": 0, "counted_state": "observation",
+            "lag": 0,
         },
         "maddpg": {
             "replay": 1000, "batch": 8, "n_step": 2, "warm_up": 0, "updates_per_step": 0.1,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{count, not_negative, out_of_range, positive};
+use super::{count, not_negative, out_of_range, positive, within};
 use crate::error::MarlError;
 
 /// Influence maximisation (Eq. 5-10).
@@ -13,8 +13,6 @@ pub struct InfluenceConfig {
     pub lambda: f64,
     /// Estimator of mutual information.
     pub estimator: Estimator,
-    /// Divergence in the regulariser.
-    pub divergence: Divergence,
     /// Training of the posterior.
     pub q_training: QTraining,
     /// Cap of the divergence, nats per action dimension.
@@ -35,8 +33,6 @@ pub struct InfluenceConfig {
     pub holdout_every: usize,
     /// Steps, 0 or 1, between the others' actions that q receives and the agent's own action.
     pub lag: usize,
-    /// What is counted as the state with `estimator = count`.
-    pub counted_state: CountedState,
 }
 
 /// Estimator of mutual information.
@@ -45,32 +41,8 @@ pub struct InfluenceConfig {
 pub enum Estimator {
     /// Eq. 8: divergence of a learnt posterior from the policy.
     VariationalKl,
-    /// Barber and Agakov's lower bound, `E_p[log q + H[p]] = -KL[p || q]` for each row.
-    BarberAgakov,
     /// Eq. 7: frequencies of joint actions. Needs discrete actions.
     Count,
-}
-
-/// What is counted as the state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CountedState {
-    /// The agent's observation.
-    Observation,
-    /// The global state.
-    Global,
-}
-
-/// Divergence in the regulariser.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Divergence {
-    /// `KL[q || p]`, as in Eq. 8 and 10.
-    KlQp,
-    /// `KL[p || q]`: large where the policy's actions are unlikely under the posterior.
-    KlPq,
-    /// The Cauchy-Schwarz divergence: symmetric; it grows logarithmically as sigma shrinks.
-    CauchySchwarz,
 }
 
 /// Training of the posterior.
@@ -92,7 +64,8 @@ impl InfluenceConfig {
         count("influence.epochs", self.epochs)?;
         positive("influence.learning_rate", self.learning_rate)?;
         count("influence.minibatches", self.minibatches)?;
-        positive("influence.posterior_sigma_floor", self.posterior_sigma_floor)?;
+        let (floor, range) = (self.posterior_sigma_floor, "above 0, at most 0.3");
+        within("influence.posterior_sigma_floor", floor, f64::MIN_POSITIVE..=0.3, range)?;
         if self.holdout_every < 2 {
             let range = "at least 2: with 1 no environment would be left to train on";
             return Err(out_of_range("influence.holdout_every", self.holdout_every, range));
@@ -101,7 +74,11 @@ impl InfluenceConfig {
             let range = "0 (the same step's actions) or 1 (the previous step's)";
             return Err(out_of_range("influence.lag", self.lag, range));
         }
-        self.validate_estimator()
+        if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Shared) {
+            let range = "mle with estimator = count: a table of counts has no parameters to train";
+            return Err(out_of_range("influence.q_training", "shared", range));
+        }
+        Ok(())
     }
 
     /// Rejects settings that are not defined for discrete actions.
@@ -118,28 +95,10 @@ impl InfluenceConfig {
 
     /// Rejects settings that are not defined for continuous actions.
     pub(crate) fn check_for_numbers(&self) -> Result<(), MarlError> {
-        let range =
-            "variational_kl or barber_agakov for continuous actions: counts need discrete actions";
+        let range = "variational_kl for continuous actions: counts need discrete actions";
         match self.estimator {
             Estimator::Count => Err(out_of_range("influence.estimator", "count", range)),
-            Estimator::VariationalKl | Estimator::BarberAgakov => Ok(()),
-        }
-    }
-
-    fn validate_estimator(&self) -> Result<(), MarlError> {
-        let bound = "kl_pq with estimator = barber_agakov, whose bound is -KL[p || q]";
-        let counted = "mle with estimator = count: a table of counts has no parameters to train";
-        if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Shared) {
-            return Err(out_of_range("influence.q_training", "shared", counted));
-        }
-        match (self.estimator, self.divergence) {
-            (Estimator::BarberAgakov, Divergence::KlQp) => {
-                Err(out_of_range("influence.divergence", "kl_qp", bound))
-            }
-            (Estimator::BarberAgakov, Divergence::CauchySchwarz) => {
-                Err(out_of_range("influence.divergence", "cauchy_schwarz", bound))
-            }
-            _ => Ok(()),
+            Estimator::VariationalKl => Ok(()),
         }
     }
 }
@@ -171,8 +130,8 @@ mod tests {
         for (kind, message) in [
             (
                 refusal(ActionKind::Continuous, count),
-                "influence.estimator = count is out of range: variational_kl or barber_agakov for \
-                 continuous actions: counts need discrete actions",
+                "influence.estimator = count is out of range: variational_kl for continuous actions: \
+                 counts need discrete actions",
             ),
             (
                 refusal(choices, shared),

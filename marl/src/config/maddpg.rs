@@ -2,9 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Config, CriticCore, CriticInput, CriticMode, StateNorm, count, out_of_range, positive, within,
-};
+use super::{Config, CriticCore, StateNorm, count, out_of_range, positive, within};
 use crate::error::MarlError;
 
 /// MADDPG's exploration, replay and targets. Learning rates, discount and critic sizes are in the sections `update` and
@@ -45,10 +43,6 @@ impl MaddpgConfig {
 impl Config {
     /// Rejects settings that MADDPG does not support.
     pub(super) fn check_for_maddpg(&self) -> Result<(), MarlError> {
-        if self.critic.input == CriticInput::Observation {
-            let range = "state with update.rule = maddpg: its action values are central";
-            return Err(out_of_range("critic.input", "observation", range));
-        }
         if self.critic.core == CriticCore::Gru {
             let range =
                 "mlp with update.rule = maddpg: the replay holds single steps, no recurrent states";
@@ -57,11 +51,6 @@ impl Config {
         let stale = "0 with update.rule = maddpg: the density is refitted in every iteration, \
                      so rewards in the replay would be stale";
         within("surprise.alpha", self.surprise.alpha, 0.0..=0.0, stale)?;
-        if self.critic.mode != CriticMode::PerAgent {
-            let range =
-                "per_agent with update.rule = maddpg: its action values use only the team's reward";
-            return Err(out_of_range("critic.mode", self.critic.mode.name(), range));
-        }
         if self.critic.state_norm == StateNorm::Running {
             let range = "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale";
             return Err(out_of_range("critic.state_norm", self.critic.state_norm.name(), range));

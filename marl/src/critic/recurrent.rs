@@ -10,7 +10,7 @@ use candle_core::{Device, Tensor};
 use policy::layers::LayerSpec;
 use policy::ops::{RecurrentInput, Weights};
 
-use super::{Critic, ValueInputs};
+use super::Critic;
 use crate::data::batch::Batch;
 use crate::data::sequence::{Layout, mask};
 use crate::error::MarlError;
@@ -161,8 +161,8 @@ struct Run<'a> {
 }
 
 impl Critic {
-    /// Normalised values of every row, `[T * B, V]`, and of the finals, `[F, V]`, each final with the state of its step;
-    /// and the states from which the fit starts.
+    /// Normalised values of every row, `[T * B, V]`, and of the states `finals` `[F, S]`, `[F, V]`, each final with the
+    /// recurrent state of its step; and the recurrent states from which the fit starts.
     ///
     /// # Errors
     /// If `memory` is that of another number of environments, or a tensor operation fails.
@@ -170,22 +170,22 @@ impl Critic {
         &self,
         memory: &Memory,
         batch: &Batch,
-        inputs: &ValueInputs<'_>,
+        finals: &[f32],
     ) -> Result<(Vec<f64>, Vec<f64>, Unrolled), MarlError> {
         let weights = self.layers.constant_weights()?;
         let (start, width) = (memory.start(batch.environments)?, memory.width);
         let layout = Layout::of(batch, batch.steps);
         let mask = mask(batch, layout);
-        let whole = Run { layout, rows: inputs.rows, start: &start, mask: &mask };
+        let whole = Run { layout, rows: &batch.state, start: &start, mask: &mask };
         let (normalized, states) = self.run(&weights, &whole, width)?;
         let of_final = |row: usize| &states[row * width..(row + 1) * width];
-        let finals =
+        let ends =
             batch.finals.iter().map(|last| last.step * batch.environments + last.environment);
-        let before: Vec<f32> = finals.flat_map(of_final).copied().collect();
+        let before: Vec<f32> = ends.flat_map(of_final).copied().collect();
         let count = batch.finals.len();
         let layout = Layout { steps: 1, chunks: count, environments: count };
         let mask = vec![1.0; count];
-        let once = Run { layout, rows: &inputs.finals, start: &before, mask: &mask };
+        let once = Run { layout, rows: finals, start: &before, mask: &mask };
         let (finals, _) = self.run(&weights, &once, width)?;
         Ok((normalized, finals, Unrolled::new(batch, memory.layout(batch), &states, &start)))
     }

@@ -26,10 +26,6 @@ pub struct AgentShape {
     pub kind: ActionKind,
     /// Indices of the observation features that surprise scores. One-hot ids, duplicates and constants are left out.
     pub surprise_features: Vec<usize>,
-    /// Indices in the global state of the features that the agent observes; empty if the state does not contain them.
-    pub seen: Vec<usize>,
-    /// Indices in the global state of the features near the agent; empty if the state does not contain them.
-    pub near: Vec<usize>,
 }
 
 /// Kind of action.

@@ -42,12 +42,6 @@ impl Layout {
         chunk % self.environments
     }
 
-    /// Previous chunk of the same environment, if there is one.
-    #[must_use]
-    pub fn before(&self, chunk: usize) -> Option<usize> {
-        chunk.checked_sub(self.environments)
-    }
-
     /// Time-major row `t * B + b` of step `step` of chunk `chunk`.
     #[must_use]
     pub fn source(&self, step: usize, chunk: usize) -> usize {
@@ -130,8 +124,6 @@ pub struct Sequences {
     /// 0 where an episode has just begun, so that the recurrent state is reset, `[L, C]`. A chunk's first step has 1:
     /// its stored state is already reset.
     pub mask: Vec<f32>,
-    /// Whether an episode ends with the chunk's last step, so that the next chunk starts with a state of zeros, `[C]`.
-    pub ends: Vec<bool>,
     widths: (usize, usize),
 }
 
@@ -149,9 +141,6 @@ impl Sequences {
             action: layout.chunked(&action, width),
             hidden: data.hidden.clone(),
             mask: mask(batch, layout),
-            ends: (0..layout.chunks)
-                .map(|chunk| batch.done(layout.source(layout.steps - 1, chunk)))
-                .collect(),
             widths: (observation, hidden),
         }
     }
@@ -161,27 +150,10 @@ impl Sequences {
     /// # Errors
     /// If a tensor operation fails.
     pub fn input(&self, columns: &[usize]) -> Result<SequenceInput, MarlError> {
-        self.input_from(columns, self.states(&self.hidden, columns))
-    }
-
-    /// States of the chunks `columns`, `[columns, H]`, from those of all chunks `[C, H]`.
-    #[must_use]
-    pub fn states(&self, all: &[f32], columns: &[usize]) -> Vec<f32> {
-        let hidden = self.widths.1;
-        columns.iter().flat_map(|&c| &all[c * hidden..(c + 1) * hidden]).copied().collect()
-    }
-
-    /// Network input for the chunks `columns`, from the states `start`, `[columns, H]`.
-    ///
-    /// # Errors
-    /// If a tensor operation fails.
-    pub fn input_from(
-        &self,
-        columns: &[usize],
-        start: Vec<f32>,
-    ) -> Result<SequenceInput, MarlError> {
         let (steps, count) = (self.layout.steps, columns.len());
         let (observation, hidden) = self.widths;
+        let state = |&column: &usize| &self.hidden[column * hidden..(column + 1) * hidden];
+        let start = columns.iter().flat_map(state).copied().collect();
         let tensor =
             |data: Vec<f32>, shape: (usize, usize)| Tensor::from_vec(data, shape, &Device::Cpu);
         Ok(SequenceInput {

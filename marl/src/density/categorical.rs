@@ -54,7 +54,7 @@ impl Density for Categorical {
         observations: Observations<'_>,
         _context: DensityContext,
     ) -> Result<(), MarlError> {
-        self.moments.fit(observations, 0.0);
+        self.moments.fit(observations);
         self.rows = observations.count() as i64;
         for (i, table) in self.counts.iter_mut().enumerate() {
             table.clear();
@@ -75,6 +75,10 @@ impl Density for Categorical {
 
     fn features(&self) -> (usize, usize) {
         self.moments.features()
+    }
+
+    fn omitted_constant(&self) -> f64 {
+        0.0
     }
 
     /// Visits the moments, and `counts_I` of signal feature `I`: ordered values and counts, `[K, 2]`.

@@ -29,9 +29,9 @@ impl Density for DiagonalGaussian {
     fn fit(
         &mut self,
         observations: Observations<'_>,
-        context: DensityContext,
+        _context: DensityContext,
     ) -> Result<(), MarlError> {
-        self.0.fit(observations, context.memory);
+        self.0.fit(observations);
         Ok(())
     }
 
@@ -60,8 +60,7 @@ mod tests {
 
     use super::*;
 
-    const ONCE: DensityContext =
-        DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, memory: 0.0 };
+    const ONCE: DensityContext = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0 };
 
     /// Features: 0 varies, 1 is an agent's index, 2 hardly varies, 3 never varies.
     const ROWS: [f32; 16] = [
@@ -72,7 +71,7 @@ mod tests {
     ];
 
     fn unfitted() -> DiagonalGaussian {
-        DiagonalGaussian(Moments::new(vec![0, 2, 3], 0.01, 1e-4))
+        DiagonalGaussian(Moments::new(vec![0, 2, 3]))
     }
 
     fn fitted() -> DiagonalGaussian {
@@ -114,22 +113,6 @@ mod tests {
             other.0.mean[0] += by;
             other.0.sigma[0] *= scale;
             assert!(likelihood(&other) < likelihood(&best));
-        }
-    }
-
-    #[test]
-    fn moments_with_memory_are_those_of_old_and_new_rows_together() {
-        // There are as many new rows as old ones, so a memory of 1/2 gives the moments of both together.
-        let shifted = ROWS.map(|x| 2.0 * x + 1.0);
-        let mut density = fitted();
-        let half = DensityContext { memory: 0.5, ..ONCE };
-        density.fit(Observations { data: &shifted, width: 4 }, half).unwrap();
-        let mut both = unfitted();
-        let data = [ROWS, shifted].concat();
-        both.fit(Observations { data: &data, width: 4 }, ONCE).unwrap();
-        for i in 0..3 {
-            assert!((density.0.mean[i] - both.0.mean[i]).abs() < 1e-9);
-            assert!((density.0.sigma[i] - both.0.sigma[i]).abs() < 1e-9);
         }
     }
 }

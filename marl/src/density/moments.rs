@@ -7,13 +7,17 @@ use crate::density::Observations;
 use crate::error::MarlError;
 use crate::state::{Elements, Shape, Visitor, visit_numbers};
 
+/// Lower bound of a feature's standard deviation, in units of the feature. Without it, a feature that hardly varies would
+/// dominate the log-density.
+const SIGMA_FLOOR: f64 = 0.01;
+/// A feature with a smaller standard deviation, in units of the feature, is constant but for rounding.
+const MASK_BELOW: f64 = 1e-4;
+
 /// Moments of the signal features. A feature with a standard deviation below the mask is left out. Those of the others
 /// are at least the floor.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Moments {
     signal: Vec<usize>,
-    sigma_floor: f64,
-    mask_below: f64,
     pub(super) mean: Vec<f64>,
     /// Without the floor that `sigma` has.
     variance: Vec<f64>,
@@ -22,29 +26,25 @@ pub(super) struct Moments {
 }
 
 impl Moments {
-    /// Moments without rows, of the features `signal`. Floor and mask are in units of the feature.
-    pub(super) fn new(signal: Vec<usize>, sigma_floor: f64, mask_below: f64) -> Self {
+    /// Moments without rows, of the features `signal`.
+    pub(super) fn new(signal: Vec<usize>) -> Self {
         let count = signal.len();
         let (mean, variance, sigma) = (vec![0.0; count], vec![1.0; count], vec![1.0; count]);
         let active = vec![false; count];
-        Self { signal, sigma_floor, mask_below, mean, variance, sigma, active }
+        Self { signal, mean, variance, sigma, active }
     }
 
-    /// Mean and maximum-likelihood standard deviation (divided by `R`), in two passes. Previous moments have the weight
-    /// `memory`, as if their rows were among these.
-    pub(super) fn fit(&mut self, observations: Observations<'_>, memory: f64) {
+    /// Mean and maximum-likelihood standard deviation (divided by `R`), in two passes.
+    pub(super) fn fit(&mut self, observations: Observations<'_>) {
         let count = observations.count() as f64;
         for (i, &feature) in self.signal.iter().enumerate() {
             let column = || observations.column(feature).map(f64::from);
             let mean = column().sum::<f64>() / count;
-            let variance = column().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
-            let (apart, weight) = (self.mean[i] - mean, 1.0 - memory);
-            let between = memory * weight * apart * apart;
-            self.variance[i] = memory * self.variance[i] + weight * variance + between;
-            self.mean[i] = memory * self.mean[i] + weight * mean;
+            self.mean[i] = mean;
+            self.variance[i] = column().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
             let sigma = sqrt(self.variance[i]);
-            self.active[i] = sigma >= self.mask_below;
-            self.sigma[i] = sigma.max(self.sigma_floor);
+            self.active[i] = sigma >= MASK_BELOW;
+            self.sigma[i] = sigma.max(SIGMA_FLOOR);
         }
     }
 
@@ -70,7 +70,7 @@ impl Moments {
 
     /// Lower bound of the standard deviation of signal feature `i`, in units of its own, at most 1.
     pub(super) fn floor(&self, i: usize) -> f64 {
-        self.sigma_floor / self.sigma[i]
+        SIGMA_FLOOR / self.sigma[i]
     }
 
     /// `sum_j log sigma_j` over active features: the log-density of standardised features minus that of the features,

@@ -6,7 +6,6 @@ use rand::RngCore;
 
 use super::*;
 use crate::distribution::gaussian::entropy;
-use crate::sample;
 use crate::state::{restored, saved};
 use crate::surprise::entropy_bound;
 
@@ -14,17 +13,13 @@ const KINDS: [DensityKind; 3] =
     [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae];
 const ROWS: usize = 4000;
 
-fn config(density: DensityKind) -> SurpriseConfig {
-    SurpriseConfig { density, ..sample::surprise() }
-}
-
 fn at(iteration: u64) -> DensityContext {
-    DensityContext { seed: RunSeed(4), iteration, agent: 1, memory: 0.0 }
+    DensityContext { seed: RunSeed(4), iteration, agent: 1 }
 }
 
-fn density(config: &SurpriseConfig, features: usize) -> Box<dyn Density> {
+fn density(kind: DensityKind, features: usize) -> Box<dyn Density> {
     let signal: Vec<usize> = (0..features).collect();
-    build(config, &signal, (RunSeed(4), 1)).unwrap()
+    build(kind, &signal, (RunSeed(4), 1)).unwrap()
 }
 
 fn fit(density: &mut dyn Density, data: &[f32], width: usize, iteration: u64) -> Vec<f64> {
@@ -42,8 +37,8 @@ fn restore(density: &mut dyn Density, arrays: &NamedArrays) -> Result<(), MarlEr
 }
 
 /// The entropy bound of a density on the rows it is fitted on, nats.
-fn found_entropy(config: &SurpriseConfig, data: &[f32], width: usize) -> f64 {
-    entropy_bound(&fit(density(config, width).as_mut(), data, width, 0))
+fn found_entropy(kind: DensityKind, data: &[f32], width: usize) -> f64 {
+    entropy_bound(&fit(density(kind, width).as_mut(), data, width, 0))
 }
 
 fn normals(count: usize) -> Vec<f32> {
@@ -71,21 +66,21 @@ fn symbols() -> Vec<f32> {
 #[test]
 fn the_bound_of_the_true_model_is_the_entropy() {
     let pairs = entropy(&[2.0, 0.5]);
-    let found = found_entropy(&config(DensityKind::DiagonalGaussian), &normal_pairs(), 2);
+    let found = found_entropy(DensityKind::DiagonalGaussian, &normal_pairs(), 2);
     assert!((found - pairs).abs() < 0.04, "{found} {pairs}");
     let letters = 1.5 * libm::log(2.0);
-    let found = found_entropy(&config(DensityKind::Categorical), &symbols(), 1);
+    let found = found_entropy(DensityKind::Categorical, &symbols(), 1);
     assert!((found - letters).abs() < 0.02, "{found} {letters}");
 }
 
 #[test]
 fn the_bound_of_a_wrong_model_exceeds_the_entropy() {
     let hills = entropy(&[0.5]) + libm::log(2.0);
-    let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &two_modes(), 1);
+    let gaussian = found_entropy(DensityKind::DiagonalGaussian, &two_modes(), 1);
     assert!(gaussian > hills + 0.5, "{gaussian} {hills}");
     // The lower bound of a log-density remains one after training.
     let (pairs, data) = (entropy(&[2.0, 0.5]), normal_pairs());
-    let mut vae = density(&config(DensityKind::Vae), 2);
+    let mut vae = density(DensityKind::Vae, 2);
     let bounds = (0..20).map(|iteration| entropy_bound(&fit(vae.as_mut(), &data, 2, iteration)));
     let bounds: Vec<f64> = bounds.collect();
     assert!(bounds.iter().all(|bound| *bound > pairs - 0.04), "{bounds:?} {pairs}");
@@ -94,7 +89,7 @@ fn the_bound_of_a_wrong_model_exceeds_the_entropy() {
 
 #[test]
 fn a_values_probability_is_its_smoothed_frequency() {
-    let mut density = density(&config(DensityKind::Categorical), 1);
+    let mut density = density(DensityKind::Categorical, 1);
     density.fit(Observations { data: &[5.0, 5.0, 7.0, 0.0], width: 1 }, at(0)).unwrap();
     let queries = Observations { data: &[5.0, -0.0, 9.0], width: 1 };
     // Three values and the unseen one: each counts once more, 8 in all.
@@ -113,11 +108,11 @@ fn an_autoencoder_continues_training_from_iteration_to_iteration() {
             [libm::cos(angle) as f32, libm::sin(angle) as f32]
         })
         .collect();
-    let mut density = density(&config(DensityKind::Vae), 2);
+    let mut density = density(DensityKind::Vae, 2);
     let bounds: Vec<f64> = (0..20)
         .map(|iteration| entropy_bound(&fit(density.as_mut(), &ring, 2, iteration)))
         .collect();
-    let gaussian = found_entropy(&config(DensityKind::DiagonalGaussian), &ring, 2);
+    let gaussian = found_entropy(DensityKind::DiagonalGaussian, &ring, 2);
     assert!(bounds[19] < bounds[0] - 0.3, "{bounds:?}");
     assert!(bounds[19] < gaussian - 0.3, "{bounds:?} {gaussian}");
 }
@@ -126,7 +121,7 @@ fn an_autoencoder_continues_training_from_iteration_to_iteration() {
 fn a_restored_density_continues_bit_for_bit_whatever_its_previous_state() {
     let (first, second) = (normal_pairs(), normals(2 * ROWS));
     for kind in KINDS {
-        let (mut kept, mut other) = (density(&config(kind), 2), density(&config(kind), 2));
+        let (mut kept, mut other) = (density(kind, 2), density(kind, 2));
         fit(kept.as_mut(), &first, 2, 0);
         fit(other.as_mut(), &second, 2, 5);
         restore(other.as_mut(), &arrays(kept.as_mut())).unwrap();
@@ -146,7 +141,7 @@ fn every_density_gives_the_same_bits_on_one_two_and_three_threads() {
     for kind in KINDS {
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| fit(density(&config(kind), 2).as_mut(), &data, 2, 0))
+            pool.install(|| fit(density(kind, 2).as_mut(), &data, 2, 0))
         };
         assert_eq!(on(1), on(2), "{kind:?}");
         assert_eq!(on(1), on(3), "{kind:?}");
@@ -155,16 +150,14 @@ fn every_density_gives_the_same_bits_on_one_two_and_three_threads() {
 
 #[test]
 fn constant_features_are_left_out_and_constant_rows_have_finite_scores() {
-    // Feature 1 never varies. Without a mask nothing is left out, so the floor must prevent infinities.
     let data: Vec<f32> = normals(300).into_iter().flat_map(|z| [z, 2.0]).collect();
     let same = [0.5, -0.5].repeat(50);
     for kind in KINDS {
-        let mut masked = density(&config(kind), 2);
+        let mut masked = density(kind, 2);
         fit(masked.as_mut(), &data, 2, 0);
         assert_eq!(masked.features(), (1, 1));
-        let unmasked = SurpriseConfig { mask_below: 0.0, ..config(kind) };
         for rows in [&data, &same, &same[..2].to_vec()] {
-            let found = fit(density(&unmasked, 2).as_mut(), rows, 2, 0);
+            let found = fit(density(kind, 2).as_mut(), rows, 2, 0);
             assert!(found.iter().all(|l| l.is_finite()), "{kind:?} {found:?}");
         }
     }

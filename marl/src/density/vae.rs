@@ -9,7 +9,6 @@ use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
 use super::moments::Moments;
-use crate::config::VaeConfig;
 use crate::density::{Density, DensityContext, Observations};
 use crate::distribution::gaussian::LOG_TWO_PI;
 use crate::error::MarlError;
@@ -30,6 +29,25 @@ const START_LOG_SIGMA: f32 = -1.0;
 const EPSILON: f64 = 1e-8;
 /// The actors' limit, which gradients rarely reach.
 const MAX_GRADIENT_NORM: f64 = 10.0;
+
+/// Sizes and training.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct VaeConfig {
+    /// Units of the hidden layers.
+    hidden: usize,
+    /// Latent dimensions.
+    latent: usize,
+    /// Epochs over `D_k`.
+    epochs: usize,
+    /// Minibatches per epoch, each an optimiser step.
+    minibatches: usize,
+    /// Adam's learning rate.
+    learning_rate: f64,
+}
+
+/// Enough for the observations of the robots, which have 8 to 27 features that vary.
+pub(super) const CONFIG: VaeConfig =
+    VaeConfig { hidden: 64, latent: 8, epochs: 5, minibatches: 8, learning_rate: 1e-3 };
 
 /// `q(z | o)` and `p(o | z)`: Linear, tanh, Linear each, with diagonal Gaussians. The decoder's standard deviations are
 /// separate parameters.
@@ -76,7 +94,7 @@ impl Latent {
 impl Vae {
     /// Networks for the moments' features, with weights initialised for agent `agent`.
     pub(super) fn new(
-        config: &VaeConfig,
+        config: VaeConfig,
         moments: Moments,
         (seed, agent): (RunSeed, u32),
     ) -> Result<Self, MarlError> {
@@ -220,7 +238,7 @@ impl Vae {
 
     /// Standard normal noise for the latents of `count` rows.
     fn noise(&self, count: usize, context: DensityContext, step: usize) -> Vec<f64> {
-        let DensityContext { seed, iteration, agent, .. } = context;
+        let DensityContext { seed, iteration, agent } = context;
         let draw = Draw::of(Purpose::DensityNoise).iteration(iteration).agent(agent);
         let mut rng = generator(seed, draw.step(step as u32));
         (0..count * self.latent).map(|_| f64::from(standard_normal(&mut rng))).collect()
@@ -250,12 +268,12 @@ impl Density for Vae {
         observations: Observations<'_>,
         context: DensityContext,
     ) -> Result<(), MarlError> {
-        self.moments.fit(observations, 0.0);
+        self.moments.fit(observations);
         if self.moments.features().0 == 0 {
             return Ok(());
         }
         let (inputs, width) = (self.inputs(observations), self.moments.signals());
-        let DensityContext { seed, iteration, agent, .. } = context;
+        let DensityContext { seed, iteration, agent } = context;
         let draw = Draw::of(Purpose::DensityMinibatch).iteration(iteration).agent(agent);
         for epoch in 0..self.epochs {
             let noise = self.noise(observations.count(), context, epoch);
@@ -309,16 +327,17 @@ fn picked<V: Copy>(from: &[V], part: &[usize], width: usize) -> Vec<V> {
 mod tests {
     use super::*;
     use crate::optimisation::tests::meets_finite_differences;
-    use crate::sample;
 
     #[test]
     fn the_gradient_matches_finite_differences() {
-        let moments = Moments::new(vec![0, 1], 0.01, 1e-4);
-        let mut vae = Vae::new(&sample::surprise().vae, moments, (RunSeed(1), 0)).unwrap();
+        let moments = Moments::new(vec![0, 1]);
+        let small =
+            VaeConfig { hidden: 16, latent: 2, minibatches: 4, learning_rate: 1e-2, ..CONFIG };
+        let mut vae = Vae::new(small, moments, (RunSeed(1), 0)).unwrap();
         let data = [0.3, -1.0, 2.0, 0.4, -0.7, 1.5];
         let (observations, context) = (
             Observations { data: &data, width: 2 },
-            DensityContext { seed: RunSeed(1), iteration: 0, agent: 0, memory: 0.0 },
+            DensityContext { seed: RunSeed(1), iteration: 0, agent: 0 },
         );
         vae.fit(observations, context).unwrap();
         let (inputs, noise) = (vae.inputs(observations), vae.noise(3, context, 7));

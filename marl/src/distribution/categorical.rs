@@ -6,14 +6,10 @@ use super::{Row, RowDistribution, RowGradient};
 
 /// `log p_k = logit_k - log sum_j exp logit_j`, nats. `logits` and the result are `[K]`.
 fn log_softmax(logits: &[f64]) -> Vec<f64> {
-    let total = log_sum_exp(logits);
-    logits.iter().map(|&x| x - total).collect()
-}
-
-/// `log sum_j exp logit_j` of logits `[K]`. Subtracting the largest prevents overflow.
-fn log_sum_exp(logits: &[f64]) -> f64 {
+    // Subtracting the largest prevents overflow.
     let largest = logits.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x));
-    largest + log(logits.iter().map(|&x| exp(x - largest)).sum::<f64>())
+    let total = largest + log(logits.iter().map(|&x| exp(x - largest)).sum::<f64>());
+    logits.iter().map(|&x| x - total).collect()
 }
 
 /// Formulas of a categorical distribution.
@@ -74,31 +70,4 @@ impl RowDistribution for CategoricalRow {
             *d_logit += weight * (exp(log_p) - exp(log_q));
         }
     }
-
-    /// In logarithms of sums, so that it is finite for distributions without overlap.
-    fn cauchy_schwarz(&self, q: Row<'_>, p: Row<'_>) -> f64 {
-        let (log_q, log_p) = (log_softmax(q.outputs), log_softmax(p.outputs));
-        let overlap = |x: &[f64], y: &[f64]| log_sum_exp(&sum(x, y));
-        overlap(&log_q, &log_q) + overlap(&log_p, &log_p) - 2.0 * overlap(&log_q, &log_p)
-    }
-
-    /// `2 p_k^2 / sum p^2 - 2 q_k p_k / sum q p`.
-    fn add_cauchy_schwarz_gradient(
-        &self,
-        weight: f64,
-        q: Row<'_>,
-        p: Row<'_>,
-        gradient: RowGradient<'_>,
-    ) {
-        let (log_q, log_p) = (log_softmax(q.outputs), log_softmax(p.outputs));
-        let (own, shared) = (log_softmax(&sum(&log_p, &log_p)), log_softmax(&sum(&log_q, &log_p)));
-        for (d_logit, (own, shared)) in gradient.outputs.iter_mut().zip(own.into_iter().zip(shared))
-        {
-            *d_logit += weight * 2.0 * (exp(own) - exp(shared));
-        }
-    }
-}
-
-fn sum(x: &[f64], y: &[f64]) -> Vec<f64> {
-    x.iter().zip(y).map(|(x, y)| x + y).collect()
 }

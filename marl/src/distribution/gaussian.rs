@@ -72,33 +72,4 @@ impl RowDistribution for GaussianRow {
             gradient.sigma[i] += weight * (1.0 - spread / variance) / p_sigma;
         }
     }
-
-    /// `sum_d (mu_q - mu_p)^2 / v + log(v / (2 sigma_q sigma_p))` with `v = sigma_q^2 + sigma_p^2`.
-    fn cauchy_schwarz(&self, q: Row<'_>, p: Row<'_>) -> f64 {
-        let mut total = 0.0;
-        for i in 0..p.outputs.len() {
-            let distance = q.outputs[i] - p.outputs[i];
-            let variance = q.sigma[i] * q.sigma[i] + p.sigma[i] * p.sigma[i];
-            total +=
-                distance * distance / variance + log(variance / (2.0 * q.sigma[i] * p.sigma[i]));
-        }
-        total
-    }
-
-    fn add_cauchy_schwarz_gradient(
-        &self,
-        weight: f64,
-        q: Row<'_>,
-        p: Row<'_>,
-        gradient: RowGradient<'_>,
-    ) {
-        for i in 0..p.outputs.len() {
-            let distance = p.outputs[i] - q.outputs[i];
-            let variance = q.sigma[i] * q.sigma[i] + p.sigma[i] * p.sigma[i];
-            gradient.outputs[i] += weight * 2.0 * distance / variance;
-            let share = distance * distance / variance;
-            gradient.sigma[i] +=
-                weight * (2.0 * p.sigma[i] * (1.0 - share) / variance - 1.0 / p.sigma[i]);
-        }
-    }
 }

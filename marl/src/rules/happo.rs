@@ -9,7 +9,6 @@ use crate::optimisation::minibatch::permutation;
 use crate::rules::algorithm::Report;
 use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{maximise, policy_change};
-use crate::rules::on_policy::kl_budget::KlBudget;
 use crate::rules::on_policy::{PolicyUpdate, Prepared, agent_report};
 
 /// HAPPO; its variants differ only in configuration.
@@ -36,16 +35,14 @@ fn sweep(
     order: &[usize],
     (seed, iteration): (RunSeed, u64),
 ) -> Result<Report, MarlError> {
-    let mut budget = KlBudget::new(agents[0].update.target_kl, agents.len());
     let mut factor = vec![1.0; prepared.experience[0].log_prob.len()];
     let mut reports = vec![Report::new(); agents.len()];
     for (position, &index) in order.iter().enumerate() {
         swap_optimiser(agents, index);
         let (agent, inputs) = (&mut agents[index], prepared.of(index));
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
-        let trained = maximise(agent, inputs, &factor, budget.share(), (seed, draw))?;
+        let trained = maximise(agent, inputs, &factor, (seed, draw))?;
         let change = policy_change(agent, inputs.experience)?;
-        budget.spend(change.kl);
         agent.adam.adapt(change.kl, agent.update.desired_kl);
         reports[index] = agent_report(agent, index, inputs.experience, &trained, &change)?;
         reports[index].extend(sweep_report(index, position, &factor));

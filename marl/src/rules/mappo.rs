@@ -11,7 +11,6 @@ use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{
     AgentInputs, PolicyChange, Trained, maximise, maximise_together, policy_change,
 };
-use crate::rules::on_policy::kl_budget::KlBudget;
 use crate::rules::on_policy::{PolicyUpdate, Prepared, agent_report};
 
 /// MAPPO; its surrogate is HAPPO's with a factor of 1.
@@ -63,19 +62,16 @@ fn update_jointly(
     (seed, iteration): (RunSeed, u64),
 ) -> Result<Vec<Trained>, MarlError> {
     let factor = vec![1.0; prepared.experience[0].log_prob.len()];
-    let target_kl = agents[0].update.target_kl;
     let draw = |agent: usize| Draw::of(Purpose::Minibatch).iteration(iteration).agent(agent as u32);
     match agents[0].update.parameters {
         Sharing::Shared => {
             let inputs: Vec<AgentInputs<'_>> = (0..agents.len()).map(|i| prepared.of(i)).collect();
             let draws: Vec<Draw> = (0..agents.len()).map(draw).collect();
-            let together = KlBudget::new(target_kl, 1).share();
-            maximise_together(agents, &inputs, &factor, together, (seed, &draws))
+            maximise_together(agents, &inputs, &factor, (seed, &draws))
         }
         Sharing::Separate => {
-            let share = KlBudget::new(target_kl, agents.len()).share();
             let one = |(index, agent): (usize, &mut Agent)| {
-                maximise(agent, prepared.of(index), &factor, share, (seed, draw(index)))
+                maximise(agent, prepared.of(index), &factor, (seed, draw(index)))
             };
             agents.par_iter_mut().enumerate().map(one).collect()
         }

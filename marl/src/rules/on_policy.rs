@@ -6,8 +6,6 @@ pub(crate) mod ascent;
 mod counted;
 pub(crate) mod experience;
 mod heads;
-pub(crate) mod kl_budget;
-mod memory;
 
 use std::sync::Arc;
 
@@ -15,8 +13,8 @@ use policy::{Head, PolicyConfig, PolicySnapshot, RunSeed};
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use crate::config::{Config, CriticMode, Sharing};
-use crate::critic::{CriticFigures, Critics, Values, explained_variance};
+use crate::config::{Config, Sharing};
+use crate::critic::{Critic, CriticFigures, CriticMode, Values, explained_variance};
 use crate::data::batch::{Batch, Problem, Rewards};
 use crate::data::sequence::Layout;
 use crate::distribution::gaussian;
@@ -90,7 +88,7 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
         );
         let mut report = critic_report(&fitted?);
         report.extend(updated?);
-        report.extend(prepared.report(self.team.config.critic_mode()));
+        report.extend(prepared.report(CriticMode::of(&self.team.config)));
         Ok(report)
     }
 
@@ -109,21 +107,21 @@ impl<R: PolicyUpdate> State for OnPolicy<R> {
     }
 }
 
-/// All agents and their critics.
+/// All agents and the critic.
 pub(crate) struct Team {
     pub(crate) config: Config,
     problem: Problem,
     chunk_steps: usize,
     pub(crate) seed: RunSeed,
     pub(crate) agents: Vec<Agent>,
-    pub(crate) critic: Critics,
+    pub(crate) critic: Critic,
 }
 
 /// Inputs of an update, computed from `D_k` before any policy changes.
 pub(crate) struct Prepared {
     pub(crate) experience: Vec<Experience>,
     pub(crate) influence: Vec<Influence>,
-    pub(crate) values: Vec<Values>,
+    pub(crate) values: Values,
     /// Targets of the critic, `[V][T, B]`.
     pub(crate) returns: Vec<Vec<f64>>,
 }
@@ -137,10 +135,9 @@ impl Prepared {
     /// Explained variance of every agent's returns, and metrics of its posterior.
     pub(crate) fn report(&self, mode: CriticMode) -> Report {
         let mut report = Report::new();
-        let values: Vec<Vec<f64>> = self.values.iter().flat_map(|own| own.now.clone()).collect();
         for (index, influence) in self.influence.iter().enumerate() {
             let of = |valued: &[Vec<f64>]| rounded(mode.of_agent(valued, index));
-            let (known, returns) = (of(&values), of(&self.returns));
+            let (known, returns) = (of(&self.values.now), of(&self.returns));
             let explained = explained_variance(&known, &returns);
             report.push((format!("agent{index}/explained_variance"), explained));
             report.extend(influence.report(index));
@@ -172,7 +169,9 @@ impl Team {
             }
         }
         let chunk_steps = policy.backpropagation_steps;
-        let critic = Critics::new(config, chunk_steps, problem, seed)?;
+        let values = CriticMode::of(config).values(problem.agents.len());
+        let actors = (config.update.adam_epsilon, chunk_steps);
+        let critic = Critic::new(&config.critic, actors, (problem.state, values), seed)?;
         let (config, problem) = (config.clone(), problem.clone());
         Ok(Self { config, problem, chunk_steps, seed, agents, critic })
     }
@@ -203,7 +202,6 @@ impl Team {
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
-        self.agents.iter_mut().for_each(|agent| agent.memory.use_stored_states());
         let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
         let experience = trace_span!("behaviour").in_scope(gathered)?;
         let (agents, seed) = (&mut self.agents, self.seed);
@@ -217,16 +215,14 @@ impl Team {
         &self,
         batch: &Batch,
         rewards: &Rewards,
-        values: &[Values],
+        values: &Values,
     ) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let update = &self.config.update;
         let horizon = Horizon { gamma: update.gamma, lambda: update.gae_lambda };
-        let mode = self.config.critic_mode();
+        let mode = CriticMode::of(&self.config);
         let valued = mode.rewards(&batch.reward, rewards);
-        let heads: Vec<(&Vec<f64>, &Vec<f64>)> =
-            values.iter().flat_map(|own| own.now.iter().zip(&own.next)).collect();
         let one = |head: usize| {
-            let (now, next) = heads[head];
+            let (now, next) = (&values.now[head], &values.next[head]);
             let advantage = rounded(advantage(batch, &valued[head], now, next, horizon));
             let returns = advantage.iter().zip(now).map(|(a, v)| a + v).collect();
             (advantage, rounded(returns))
@@ -295,7 +291,6 @@ pub(crate) fn agent_report(
         ("clip_fraction", figures.clip_fraction),
         ("ratio_held", figures.clamped_fraction),
         ("gradient_norm", trained.gradient_norm),
-        ("epochs", trained.epochs as f64),
         ("learning_rate", trained.learning_rate),
         ("skipped_steps", trained.skipped as f64),
         ("influence_kl", figures.influence),

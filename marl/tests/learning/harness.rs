@@ -83,8 +83,6 @@ pub(crate) fn problem<W: World>() -> Problem {
         action_range: (-1.0, 1.0),
         kind: W::ACTION,
         surprise_features: (0..W::STATE).collect(),
-        seen: vec![],
-        near: vec![],
     };
     Problem { agents: vec![shape.clone(), shape], state: W::STATE }
 }

@@ -1,10 +1,8 @@
 //! Each loss separately: its value and its gradient.
 
-use marl::config::{Divergence, Estimator};
 use marl::critic::value_loss;
 use marl::critic::value_normalizer::ValueNormalizer;
 use marl::distribution::HeadRows;
-use marl::influence::Term;
 use marl::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
 use marl::objective::advantage::{Horizon, advantage, next_values};
 use marl::objective::surrogate::normalized_advantage;
@@ -25,11 +23,7 @@ fn coefficients(reference: &Reference) -> Coefficients {
         clip: reference.setting("update.clip"),
         entropy: reference.setting("update.entropy"),
         lambda: reference.setting("influence.lambda"),
-        term: Term {
-            estimator: Estimator::VariationalKl,
-            divergence: Divergence::KlQp,
-            kappa: reference.setting("influence.kappa"),
-        },
+        kappa: reference.setting("influence.kappa"),
     }
 }
 

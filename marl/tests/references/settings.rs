@@ -23,8 +23,6 @@ pub(crate) fn problem(reference: &Reference) -> Problem {
         action_range: (-1.0, 2.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0],
-        seen: vec![],
-        near: vec![],
     };
     Problem { agents: (0..AGENTS).map(agent).collect(), state: axis(reference, "batch/state", 2) }
 }

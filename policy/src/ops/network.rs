@@ -136,19 +136,6 @@ impl Weights {
         self.constants(x, Some(recurrent), (x.dim(0)?, hidden), states)
     }
 
-    /// The recurrent state after the last step, `[B, H]`, constant; `None` without a GRU.
-    ///
-    /// # Errors
-    /// If shapes or element types do not match.
-    pub fn last_states(&self, x: &Tensor, recurrent: RecurrentInput<'_>) -> Result<Option<Tensor>> {
-        let Some((gru, hidden)) = self.packed.network().gru() else { return Ok(None) };
-        let sequences = recurrent.mask.dim(1)?;
-        let last = |workspace: &Workspace, into: &mut Vec<f32>| {
-            workspace.append_last_states(gru, sequences, into);
-        };
-        Ok(Some(self.constants(x, Some(recurrent), (sequences, hidden), last)?.0))
-    }
-
     /// A forward pass without a graph: what `append` reads from the workspace, of the given shape, and the output,
     /// `[R, out]`.
     fn constants(

@@ -1,12 +1,10 @@
 //! A small real task and policies for it, also for the tests of other crates.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{
-    ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, RefreshHidden,
-};
+use policy::{ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot};
 use sim::{
-    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
-    PartitionSemantics, RootView, TaskConfig,
+    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm, RootView,
+    TaskConfig,
 };
 
 pub(crate) const ENVIRONMENTS: usize = 2;
@@ -24,7 +22,6 @@ pub(crate) fn task() -> TaskConfig {
             globals: RootView::Hidden,
             contact_forces: ContactForces::Absent,
         },
-        partition: PartitionSemantics::ActuatorSlices,
     }
 }
 
@@ -45,9 +42,6 @@ pub(crate) fn policy_for(description: &proto::EnvironmentSpec) -> PolicySnapshot
         width: 8,
         layers: 1,
         backpropagation_steps: HIDDEN_EVERY as usize,
-        burn_in: 0,
-        refresh_hidden: RefreshHidden::Never,
-        initial_sigma: 0.365_529_29,
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,

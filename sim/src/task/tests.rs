@@ -1,10 +1,7 @@
 //! Task files: the example, the terms by hand, and refusals.
 
 use super::*;
-use crate::config::{
-    ContactForces, ObservationConfig, ObservationMode, ObservationNorm, PartitionSemantics,
-    RootView,
-};
+use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::robot::{JointPlan, Softness};
 use crate::simulation::environments;
@@ -24,7 +21,6 @@ fn config(file: &str, mode: ObservationMode) -> TaskConfig {
         task: "hopper-2x1".to_owned(),
         definition: Some(TaskDefinition { file: file.to_owned(), model }),
         observation,
-        partition: PartitionSemantics::Labels,
     }
 }
 

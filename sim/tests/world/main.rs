@@ -17,19 +17,18 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use sim::{EnvironmentBatch, Outcome, Robot, TaskConfig, World};
 
-fn config(task: &str, norm: &str, partition: &str) -> TaskConfig {
+fn config(task: &str, norm: &str) -> TaskConfig {
     serde_json::from_value(serde_json::json!({
         "task": task, "observation": {
             "mode": "full_id", "norm": norm, "nearest": 1, "globals": "hidden",
             "contact_forces": "absent",
         },
-        "partition": partition,
     }))
     .unwrap()
 }
 
 fn environments(task: &str, count: usize) -> Box<dyn EnvironmentBatch> {
-    sim::environments(&config(task, "feature_z", "actuator_slices"), count).unwrap()
+    sim::environments(&config(task, "feature_z"), count).unwrap()
 }
 
 fn cheetah() -> World {

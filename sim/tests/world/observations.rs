@@ -48,42 +48,22 @@ fn every_task_has_its_published_sizes() {
     }
 }
 
-fn joints(task: &str, partition: &str) -> Vec<String> {
-    let world = sim::environments(&config(task, "none", partition), 1).unwrap();
+fn joints(task: &str) -> Vec<String> {
+    let world = sim::environments(&config(task, "none"), 1).unwrap();
     world.description().agents.iter().map(|agent| agent.joints.join(" ")).collect()
 }
 
 #[test]
 fn partitions_are_the_published_ones() {
-    let slices = "actuator_slices";
-    assert_eq!(joints("halfcheetah-2x3", slices), ["bthigh bshin bfoot", "fthigh fshin ffoot"]);
-    assert_eq!(joints("halfcheetah-3x2", slices), ["bthigh bshin", "bfoot fthigh", "fshin ffoot"]);
-    assert_eq!(
-        joints("halfcheetah-6x1", slices),
-        ["bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot"]
-    );
-    assert_eq!(joints("halfcheetah-2x3", "labels"), ["bfoot bshin bthigh", "ffoot fshin fthigh"]);
-    assert_eq!(
-        joints("halfcheetah-3x2", "labels"),
-        ["bfoot bshin", "bthigh ffoot", "fshin fthigh"]
-    );
-}
-
-#[test]
-fn labels_assign_the_joints_that_they_name() {
-    let mut slices =
-        sim::environments(&config("halfcheetah-3x2", "none", "actuator_slices"), 1).unwrap();
-    let mut labels = sim::environments(&config("halfcheetah-3x2", "none", "labels"), 1).unwrap();
-    // The same torques: bthigh .1, bshin .2, bfoot .3, fthigh .4, fshin .5, ffoot .6.
-    step(&mut *slices, &[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
-    step(&mut *labels, &[0.3, 0.2, 0.1, 0.6, 0.5, 0.4]);
-    assert_eq!(slices.encode(0).unwrap(), labels.encode(0).unwrap());
+    assert_eq!(joints("halfcheetah-2x3"), ["bthigh bshin bfoot", "fthigh fshin ffoot"]);
+    assert_eq!(joints("halfcheetah-3x2"), ["bthigh bshin", "bfoot fthigh", "fshin ffoot"]);
+    assert_eq!(joints("halfcheetah-6x1"), ["bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot"]);
 }
 
 #[test]
 fn in_full_id_all_agents_observe_the_same_signals() {
     for norm in ["none", "feature_z"] {
-        let mut world = sim::environments(&config("halfcheetah-6x1", norm, "labels"), 1).unwrap();
+        let mut world = sim::environments(&config("halfcheetah-6x1", norm), 1).unwrap();
         let (mut rng, mut actions) = (seeded(4), [0.0; 6]);
         world.reset(0, 0, 1000, key(&mut rng)).unwrap();
         for _ in 0..50 {
@@ -148,9 +128,9 @@ fn the_reward_is_the_speed_minus_the_control_cost() {
 
 #[test]
 fn unknown_tasks_and_empty_slots_are_rejected() {
-    let unknown = sim::environments(&config("halfcheeta-2x3", "none", "labels"), 1).err().unwrap();
+    let unknown = sim::environments(&config("halfcheeta-2x3", "none"), 1).err().unwrap();
     assert!(unknown.to_string().contains("known tasks: "), "{unknown}");
-    let none = sim::environments(&config("halfcheetah-2x3", "none", "labels"), 0).err().unwrap();
+    let none = sim::environments(&config("halfcheetah-2x3", "none"), 0).err().unwrap();
     assert!(matches!(none, SimError::NoEnvironments));
 }
 

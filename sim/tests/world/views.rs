@@ -6,7 +6,7 @@ use sim::{EnvironmentBatch, Outcome, TaskConfig};
 use crate::{coordinates, environments};
 
 fn with(task: &str, changes: &serde_json::Value) -> Box<dyn EnvironmentBatch> {
-    let mut config = serde_json::to_value(crate::config(task, "none", "actuator_slices")).unwrap();
+    let mut config = serde_json::to_value(crate::config(task, "none")).unwrap();
     for (key, value) in changes.as_object().unwrap() {
         config["observation"][key] = value.clone();
     }
@@ -70,21 +70,20 @@ fn local_observations_have_the_published_sizes() {
 
 #[test]
 fn an_ants_slices_are_the_published_ones() {
-    let joints = |task: &str, partition: &str| -> Vec<String> {
-        let config = crate::config(task, "none", partition);
+    let joints = |task: &str| -> Vec<String> {
+        let config = crate::config(task, "none");
         let world = sim::environments(&config, 1).unwrap();
         world.description().agents.iter().map(|agent| agent.joints.join(" ")).collect()
     };
     let halves = ["hip_4 ankle_4 hip_1 ankle_1", "hip_2 ankle_2 hip_3 ankle_3"];
-    assert_eq!(joints("ant-2x4", "actuator_slices"), halves);
-    assert_eq!(joints("ant-2x4d", "actuator_slices"), halves);
-    assert_eq!(joints("ant-2x4d", "labels")[0], "hip_1 ankle_1 hip_3 ankle_3");
-    assert_eq!(joints("ant-4x2", "actuator_slices")[0], "hip_4 ankle_4");
-    assert_eq!(joints("walker2d-3x2", "actuator_slices")[1], "foot thigh_left");
+    assert_eq!(joints("ant-2x4"), halves);
+    assert_eq!(joints("ant-2x4d"), ["hip_1 ankle_1 hip_3 ankle_3", "hip_2 ankle_2 hip_4 ankle_4"]);
     assert_eq!(
-        joints("walker2d-3x2", "labels"),
-        ["foot leg", "thigh foot_left", "leg_left thigh_left"]
+        joints("ant-4x2"),
+        ["hip_4 ankle_4", "hip_1 ankle_1", "hip_2 ankle_2", "hip_3 ankle_3"]
     );
+    assert_eq!(joints("walker2d-2x3"), ["thigh leg foot", "thigh_left leg_left foot_left"]);
+    assert_eq!(joints("walker2d-3x2"), ["thigh leg", "foot thigh_left", "leg_left foot_left"]);
 }
 
 #[test]

@@ -11,10 +11,8 @@ const ALWAYS: &[&str] = &[
     "audit.fingerprint",
     "audit.share",
     "checkpoint.every",
-    "checkpoint.keep_every",
     "checkpoint.keep_last",
     "critic.core",
-    "critic.input",
     "critic.layers",
     "critic.learning_rate",
     "critic.max_gradient_norm",
@@ -30,17 +28,13 @@ const ALWAYS: &[&str] = &[
     "learner.connections",
     "learner.other_builds",
     "learner.threads",
-    "lease.heartbeat_secs",
     "lease.ttl_secs",
     "log.episodes",
-    "metrics.tensorboard",
     "observation.norm",
     "policy.backpropagation_steps",
-    "policy.burn_in",
     "policy.core",
     "policy.head_gain",
     "policy.input_norm",
-    "policy.refresh_hidden",
     "preset",
     "run.actors",
     "run.dir",
@@ -67,32 +61,16 @@ const CASES: &[Case] = &[
     ("environment_service.description=ab", &[OUTSIDE], &[]),
     ("observation.mode=full_id", &[], &["task=cue-2x1"]),
     ("observation.nearest=0", &["observation.mode=k_nearest"], &[]),
-    ("observation.globals=hidden", &["surprise.space=local"], &["surprise.space=raw"]),
-    ("observation.contact_forces=real", &["task=ant-4x2"], &["task=walker2d-2x3"]),
-    ("partition.semantics=labels", &["task=ant-4x2"], &["task=signal-2x1"]),
+    ("observation.contact_forces=zeros", &["task=ant-4x2"], &["task=walker2d-2x3"]),
     ("policy.encoder=32", &[], &["policy.core=mlp"]),
     ("policy.layers=3", &["policy.core=mlp"], &[]),
     ("policy.sigma_floor=0.1", &[], &["task=cue-2x1"]),
     ("update.clip=0.2", &[], &["algorithm=maddpg"]),
-    ("critic.mode=team_mean", &[], &["algorithm=happo"]),
-    ("surprise.obs=next", &[], &["algorithm=happo"]),
-    (
-        "surprise.feature_sigma_floor=0.1",
-        &[],
-        &["surprise.density=categorical", "surprise.constant=density"],
-    ),
-    ("surprise.ema_memory=0.5", &["surprise.fit=ema"], &[]),
-    ("surprise.vae.epochs=5", &["surprise.density=vae"], &[]),
+    ("surprise.density=vae", &[], &["algorithm=happo"]),
     ("influence.lag=1", &[], &["algorithm=happo-sm"]),
-    (
-        "influence.kappa=2",
-        &[],
-        &["influence.estimator=barber_agakov", "influence.divergence=kl_pq"],
-    ),
     ("influence.encoder=32", &[], &["task=cue-2x1", "influence.estimator=count"]),
     ("influence.posterior_sigma_floor=0.1", &[], &["task=cue-2x1"]),
     ("influence.holdout_every=4", &[], &["influence.q_training=shared"]),
-    ("influence.counted_state=global", &["task=cue-2x1", "influence.estimator=count"], &[]),
     ("maddpg.noise=0.2", &["algorithm=maddpg"], &[]),
     ("evaluation.sampled=true", &[], &["evaluation.every_steps=0"]),
     ("log.max_file_mib=8", &["log.episodes=all"], &[]),
@@ -150,10 +128,9 @@ fn a_refusal_names_the_setting_the_place_and_what_is_needed_instead() {
          is gru (configs/base.toml); leave it out or change that"
     );
     assert_eq!(
-        refusal(&["algorithm=happo", "surprise.vae.hidden=8"]),
-        "command line: `surprise.vae.hidden` has no effect in this run: it needs surprise.alpha above 0 and \
-         surprise.density = vae, and surprise.alpha is 0.0 (configs/algorithms/happo.toml); leave it out or \
-         change that"
+        refusal(&["algorithm=happo", "influence.epochs=8"]),
+        "command line: `influence.epochs` has no effect in this run: it needs influence.lambda above 0, and \
+         influence.lambda is 0.0 (configs/algorithms/happo.toml); leave it out or change that"
     );
     assert_eq!(
         refusal(&["cue-2x1", "policy.sigma_floor=0.1"]),
@@ -164,13 +141,8 @@ fn a_refusal_names_the_setting_the_place_and_what_is_needed_instead() {
 
 #[test]
 fn what_only_the_simulator_has_is_refused_for_an_environment_from_outside() {
-    for setting in ["observation.mode=k_nearest", "partition.semantics=labels"] {
-        let message = refusal(&[OUTSIDE, setting]);
-        assert!(
-            message.contains("it needs a robot of the simulator") || message.contains("labels"),
-            "{message}"
-        );
-    }
+    let message = refusal(&[OUTSIDE, "observation.mode=k_nearest"]);
+    assert!(message.contains("it needs a robot of the simulator"), "{message}");
     assert!(resolved(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).is_ok());
 }
 

@@ -86,10 +86,6 @@ fn an_unknown_key_is_refused_with_the_nearest_one() {
             path.display()
         )
     );
-    assert_eq!(
-        refusal(&["policy.chunk_steps=5"]),
-        "command line: `policy.chunk_steps` is called `policy.backpropagation_steps` now"
-    );
     assert_eq!(refusal(&["zzzzzzzz=1"]), "command line: unknown key `zzzzzzzz`");
 }
 
@@ -205,23 +201,6 @@ fn a_resumed_run_keeps_its_own_values_where_the_presets_have_changed() {
 }
 
 #[test]
-fn a_setting_of_an_earlier_version_is_passed_over_in_a_runs_folder_and_nowhere_else() {
-    for (key, text) in [
-        ("update.shards", "[update]\nshards = 2\nclip = 0.33\n"),
-        ("schedule", "schedule = \"synchronous\"\n[update]\nclip = 0.33\n"),
-        ("overlap.factor_max", "[overlap]\nfactor_max = 2.0\n[update]\nclip = 0.33\n"),
-    ] {
-        let folder = tempfile::tempdir().unwrap();
-        let path = file(&folder, text);
-        let resolved = resolve(&Request { resumed: Some(path.clone()), ..request(&[]) }).unwrap();
-        assert_eq!(resolved.entries["update.clip"].value, Scalar::Float(0.33));
-        assert!(!resolved.entries.contains_key(key));
-        let written = Request { files: vec![path], ..request(&[]) };
-        assert!(resolve(&written).unwrap_err().to_string().contains(key));
-    }
-}
-
-#[test]
 fn the_hash_covers_what_is_computed_and_nothing_else() {
     let hash = |settings: &[&str]| resolve(&request(settings)).unwrap().sha256();
     let default = hash(&[]);
@@ -297,7 +276,7 @@ fn the_default_preset_changes_nothing() {
 fn was_tuned(key: &str) -> bool {
     let chosen =
         ["environments.count", "environments.steps", "observation.norm", "policy.input_norm"];
-    let of_the_algorithm = ["update.rule", "update.parameters", "critic.mode"];
+    let of_the_algorithm = ["update.rule", "update.parameters"];
     let learning = key.starts_with("update.") || key.starts_with("critic.");
     chosen.contains(&key) || learning && !of_the_algorithm.contains(&key)
 }
@@ -309,8 +288,7 @@ fn a_published_preset_leaves_nothing_that_was_tuned_here() {
             let resolved = resolve(&request(&[task.name, preset])).unwrap();
             for (key, entry) in &resolved.entries {
                 let of_base = entry.origin == "configs/base.toml" && was_tuned(key);
-                // Which joints an agent has is the task, not a hyper-parameter.
-                let tuned = !key.starts_with("maddpg.") && key != "partition.semantics";
+                let tuned = !key.starts_with("maddpg.");
                 let of_task = entry.origin.starts_with("configs/tasks/") && tuned;
                 assert!(!of_base && !of_task, "{} {preset}: {key}", task.name);
             }

@@ -64,9 +64,8 @@ pub fn is_checkpoint(path: &Path) -> bool {
     whole.is_dir() && (in_place || is_copy())
 }
 
-/// Removes all but the newest `keep_last` up to `newest` and the multiples of `keep_every`, and drafts that
-/// a crash left. Checkpoints beyond `newest` are damaged; they stay until their iteration is written
-/// again.
+/// Removes all but the newest `keep_last` up to `newest`, and drafts that a crash left. Checkpoints beyond `newest` are
+/// damaged; they stay until their iteration is written again.
 pub(super) fn prune(
     folder: &Path,
     newest: u64,
@@ -74,9 +73,7 @@ pub(super) fn prune(
 ) -> Result<(), CheckpointError> {
     let written = iterations(folder)?.into_iter().filter(|iteration| *iteration <= newest);
     for iteration in written.rev().skip(keep.keep_last) {
-        if !keep.stays_for_ever(iteration) {
-            remove(folder, &name(iteration))?;
-        }
+        remove(folder, &name(iteration))?;
     }
     let entries = std::fs::read_dir(folder).map_err(FileError::of("read", folder))?;
     for entry in entries.flatten() {

@@ -31,7 +31,7 @@ fn config() -> CriticConfig {
 
 fn critic(config: &CriticConfig) -> Critic {
     let sizes = (INPUTS, VALUES);
-    Critic::new(config, (1e-5, CHUNK), ("", 0), sizes, RunSeed(3)).unwrap()
+    Critic::new(config, (1e-5, CHUNK), sizes, RunSeed(3)).unwrap()
 }
 
 fn normals(count: usize, rng: &mut impl RngCore) -> Vec<f32> {
@@ -56,13 +56,8 @@ fn rollout(number: u32, steps: usize, ends: &[(usize, usize)]) -> Batch {
     Batch { steps, environments, state, truncated, terminated, finals, ..Batch::default() }
 }
 
-fn inputs(batch: &Batch) -> ValueInputs<'_> {
-    let finals = batch.finals.iter().flat_map(|last| last.state.clone()).collect();
-    ValueInputs { rows: &batch.state, finals }
-}
-
 fn values(critic: &Critic, batch: &Batch) -> Values {
-    critic.values(batch, &inputs(batch)).unwrap()
+    critic.values(batch).unwrap()
 }
 
 /// A critic whose memory is that of an earlier rollout.
@@ -294,7 +289,7 @@ fn states_of_another_number_of_environments_or_units_are_refused() {
     arrays.insert(name.clone(), two);
     restore(&mut critic, &arrays).unwrap();
     let batch = rollout(1, STEPS, &[]);
-    let error = critic.values(&batch, &inputs(&batch)).unwrap_err().to_string();
+    let error = critic.values(&batch).unwrap_err().to_string();
     assert_eq!(error, "batch: 3 environments; the critic has states of 2");
     let wide = Array::F32 { shape: vec![3, 4], data: vec![0.5; 12] };
     let of_four = "stored state: memory/critic.hidden has shape [3, 4] F32, expected [any, 5] F32";
@@ -341,7 +336,7 @@ fn explained(core: CriticCore) -> f64 {
         let values = values(&critic, &batch);
         critic.carry(&values);
         let returns = vec![returns; VALUES];
-        let figures = critic.fit(&inputs(&batch), &values, &returns, u64::from(number)).unwrap();
+        let figures = critic.fit(&batch, &values, &returns, u64::from(number)).unwrap();
         shares.push(figures.explained_variance);
     }
     shares[150..].iter().sum::<f64>() / 50.0
@@ -363,7 +358,7 @@ fn a_restored_critic_continues_bit_for_bit_with_its_memory() {
         let values = values(critic, &batch);
         critic.carry(&values);
         let returns = vec![vec![0.5; batch.rows()], (0..batch.rows()).map(|r| r as f64).collect()];
-        critic.fit(&inputs(&batch), &values, &returns, u64::from(number)).unwrap();
+        critic.fit(&batch, &values, &returns, u64::from(number)).unwrap();
         values
     };
     step(&mut kept, 0);

@@ -4,7 +4,7 @@ use policy::NamedArrays;
 use policy::randomness::standard_normal;
 
 use super::*;
-use crate::config::{CountedState, Divergence, Estimator, QTraining};
+use crate::config::{Estimator, QTraining};
 use crate::influence::mutual_information;
 use crate::state::{restored, saved};
 
@@ -15,7 +15,6 @@ fn config() -> InfluenceConfig {
     InfluenceConfig {
         lambda: 0.01,
         estimator: Estimator::VariationalKl,
-        divergence: Divergence::KlQp,
         q_training: QTraining::Mle,
         kappa: 1.0,
         encoder: 16,
@@ -26,7 +25,6 @@ fn config() -> InfluenceConfig {
         posterior_sigma_floor: 0.05,
         holdout_every: 5,
         lag: 0,
-        counted_state: CountedState::Observation,
     }
 }
 

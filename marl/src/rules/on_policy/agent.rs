@@ -9,20 +9,19 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, PolicyConfig};
 use rayon::prelude::*;
 
-use crate::config::{Config, CountedState, Estimator, QTraining, UpdateConfig};
+use crate::config::{Config, Estimator, QTraining, UpdateConfig};
 use crate::data::batch::{ActionKind, Batch, Problem};
 use crate::data::sequence::{Layout, Sequences};
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
+use crate::influence::mutual_information;
 use crate::influence::posterior::{Posterior, PosteriorShape};
 use crate::influence::second_head::SecondHead;
-use crate::influence::{Term, mutual_information};
 use crate::objective::actor_loss::Coefficients;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
 use crate::rules::on_policy::counted;
 use crate::rules::on_policy::experience::{Experience, Influence, mean};
-use crate::rules::on_policy::memory::Memory;
 use crate::state::{Visitor, visit_parameters};
 use crate::surprise::entropy_bound;
 
@@ -37,12 +36,11 @@ pub(crate) struct Agent {
     pub(crate) coefficients: Coefficients,
     pub(crate) update: UpdateConfig,
     pub(super) kind: ActionKind,
-    pub(super) memory: Memory,
     pub(super) posterior: Option<Posterior>,
     pub(super) second_head: Option<SecondHead>,
     holdout_every: usize,
-    /// State of the counts that replace the posterior.
-    pub(super) counted: Option<CountedState>,
+    /// Whether counts replace the posterior.
+    counted: bool,
     /// Steps between the others' actions that a posterior receives and the agent's own action.
     lag: usize,
     sigma_floor: f32,
@@ -96,15 +94,14 @@ impl Agent {
                 clip: update.clip,
                 entropy: update.entropy,
                 lambda: influence.lambda,
-                term: Term::of(influence),
+                kappa: influence.kappa,
             },
             update: update.clone(),
             kind: shape.kind,
-            memory: Memory::new(policy),
             posterior,
             second_head,
             holdout_every: influence.holdout_every,
-            counted: (wanted && counts).then_some(influence.counted_state),
+            counted: wanted && counts,
             lag: influence.lag,
             sigma_floor: policy.sigma_floor,
         })
@@ -157,7 +154,7 @@ impl Agent {
         let parts = shards(layout.chunks, layout.steps);
         let one = |range: Range<usize>| {
             let columns: Vec<usize> = range.collect();
-            let input = self.memory.input(&self.network, sequences, &columns)?;
+            let input = sequences.input(&columns)?;
             let (head, features) = self.network.distribution_and_features(&weights, &input)?;
             Ok((HeadRows::of(&head)?, features))
         };
@@ -228,8 +225,7 @@ pub(crate) fn gather(
         let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
         let (behaviour, log_prob, features) = agent.evaluate(&sequences)?;
         let others = other_actions(agents, batch, index, layout);
-        let samples =
-            agent.counted.map(|state| counted::samples(&sequences, &others, batch, state));
+        let samples = agent.counted.then(|| counted::samples(&sequences, &others));
         Ok(Experience {
             sequences,
             advantage: layout.chunked(&advantages[index], 1),

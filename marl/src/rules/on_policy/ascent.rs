@@ -11,6 +11,7 @@ use super::experience::{Experience, Influence};
 use super::heads::StepWeights;
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
+use crate::influence::posterior_gradient;
 use crate::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::minibatch::minibatches;
@@ -30,8 +31,6 @@ pub(crate) struct Trained {
     pub(crate) gradient_norm: f64,
     /// Number of optimiser steps. All figures are sums over them until [`Trained::mean`].
     steps: usize,
-    /// Number of epochs.
-    pub(crate) epochs: usize,
     /// Number of steps skipped because their gradient was not finite.
     pub(crate) skipped: i64,
     /// Learning rate of the steps.
@@ -46,13 +45,11 @@ impl Trained {
         self.steps += 1;
     }
 
-    /// Adds the steps of an epoch. Returns their mean estimate of `KL[old || new]`, nats.
-    fn add_epoch(&mut self, epoch: &Self) -> f64 {
+    /// Adds the steps of an epoch.
+    fn add_epoch(&mut self, epoch: &Self) {
         self.figures.add(1.0, &epoch.figures);
         self.gradient_norm += epoch.gradient_norm;
         self.steps += epoch.steps;
-        self.epochs += 1;
-        epoch.figures.approx_kl / epoch.steps as f64
     }
 
     /// Means over all optimiser steps.
@@ -64,20 +61,17 @@ impl Trained {
     }
 }
 
-/// Trains one agent, with its advantages weighted by `factor`, `[L, C]`. Stops after the first epoch whose divergence
-/// reaches `kl_limit`, nats.
+/// Trains one agent, with its advantages weighted by `factor`, `[L, C]`.
 pub(crate) fn maximise(
     agent: &mut Agent,
     inputs: AgentInputs<'_>,
     factor: &[f64],
-    kl_limit: f64,
     (seed, draw): (RunSeed, Draw),
 ) -> Result<Trained, MarlError> {
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
     let mut trained = Trained::default();
     for epoch in 0..epochs {
         let mut done = Trained::default();
-        agent.memory.refresh_states(&agent.network, &inputs.experience.sequences, epoch)?;
         let draw = draw.step(epoch as u32);
         for columns in minibatches(inputs.experience.sequences.layout.chunks, parts, seed, draw) {
             let (figures, gradients) = gradient(agent, inputs, factor, &columns)?;
@@ -85,31 +79,24 @@ pub(crate) fn maximise(
             agent.project()?;
             done.add(&figures, norm);
         }
-        if trained.add_epoch(&done) >= kl_limit {
-            break;
-        }
+        trained.add_epoch(&done);
     }
     (trained.skipped, trained.learning_rate) = (agent.adam.skipped(), agent.adam.learning_rate());
     Ok(trained.mean())
 }
 
 /// Trains agents that share one network with the optimiser of agent 0. Each step uses the mean of their gradients, as
-/// if a minibatch contained the rows of all agents. `draws` has one key per agent. Stops after the first epoch whose
-/// divergence, summed over agents, reaches `kl_limit`, nats.
+/// if a minibatch contained the rows of all agents. `draws` has one key per agent.
 pub(crate) fn maximise_together(
     agents: &mut [Agent],
     inputs: &[AgentInputs<'_>],
     factor: &[f64],
-    kl_limit: f64,
     (seed, draws): (RunSeed, &[Draw]),
 ) -> Result<Vec<Trained>, MarlError> {
     let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
     let mut trained = vec![Trained::default(); agents.len()];
     for epoch in 0..epochs {
         let mut done = vec![Trained::default(); agents.len()];
-        for (agent, inputs) in agents.iter_mut().zip(inputs) {
-            agent.memory.refresh_states(&agent.network, &inputs.experience.sequences, epoch)?;
-        }
         let split = |(draw, inputs): (&Draw, &AgentInputs<'_>)| {
             minibatches(
                 inputs.experience.sequences.layout.chunks,
@@ -135,10 +122,7 @@ pub(crate) fn maximise_together(
                 done.add(figures, norm);
             }
         }
-        let divergences = trained.iter_mut().zip(&done).map(|(all, done)| all.add_epoch(done));
-        if divergences.sum::<f64>() >= kl_limit {
-            break;
-        }
+        trained.iter_mut().zip(&done).for_each(|(all, done)| all.add_epoch(done));
     }
     let (skipped, learning_rate) = (agents[0].adam.skipped(), agents[0].adam.learning_rate());
     let one = |all: Trained| Trained { skipped, learning_rate, ..all.mean() };
@@ -183,8 +167,8 @@ fn shard(
     let (figures, gradient) = actor_loss(&p, &rows, total, &agent.coefficients);
     let mut root = gradient.root(&head)?;
     if let (Some(second), Some(q)) = (&second, &q) {
-        let Coefficients { lambda, term, .. } = agent.coefficients;
-        let gradient = term.posterior_gradient(-lambda / total as f64, q, &p);
+        let Coefficients { lambda, kappa, .. } = agent.coefficients;
+        let gradient = posterior_gradient(-lambda / total as f64, q, &p, kappa);
         root = (root + gradient.root(second)?)?;
     }
     Ok((figures, Gradients::of(&agent.trainable, &root)?))

@@ -1,24 +1,15 @@
 //! Influence by counting (Eq. 7): a table of `D_k` replaces a learnt posterior, for discrete actions.
 
 use super::experience::{Experience, Influence, mean};
-use crate::config::CountedState;
-use crate::data::batch::{ActionKind, Batch};
+use crate::data::batch::ActionKind;
 use crate::data::sequence::Sequences;
 use crate::distribution::HeadRows;
 use crate::influence::count::{JointSample, counted_conditional, counted_information, numbered};
 
-/// Ids of one agent's rows for counting, `[L, C]`; `others` is `[L, C, others]`.
-pub(super) fn samples(
-    sequences: &Sequences,
-    others: &[f32],
-    batch: &Batch,
-    state: CountedState,
-) -> Vec<JointSample> {
-    let (layout, rows) = (sequences.layout, batch.rows());
-    let states = match state {
-        CountedState::Observation => numbered(&sequences.observation, rows),
-        CountedState::Global => layout.chunked(&numbered(&batch.state, rows), 1),
-    };
+/// Ids of one agent's rows for counting, `[L, C]`, with its observation as the state; `others` is `[L, C, others]`.
+pub(super) fn samples(sequences: &Sequences, others: &[f32]) -> Vec<JointSample> {
+    let rows = sequences.layout.rows();
+    let states = numbered(&sequences.observation, rows);
     let rows = states.into_iter().zip(numbered(others, rows)).zip(&sequences.action);
     rows.map(|((state, others), &own)| JointSample { state, own: own as u32, others }).collect()
 }
@@ -50,8 +41,8 @@ mod tests {
     use rand::RngCore;
 
     use super::*;
-    use crate::config::{Config, Divergence, Estimator};
-    use crate::data::batch::{AgentBatch, AgentShape, Final, Problem};
+    use crate::config::{Config, Estimator};
+    use crate::data::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
     use crate::rules::algorithm::Report;
     use crate::rules::build;
     use crate::sample;
@@ -62,22 +53,34 @@ mod tests {
     const CHOICES: usize = 3;
     const PLACES: usize = 2;
 
-    /// Agents observe a place and a cue, one-hot. The global state is the place.
-    fn problem() -> Problem {
+    /// Whether agents observe the cue.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Cue {
+        Seen,
+        Hidden,
+    }
+
+    impl Cue {
+        fn features(self) -> usize {
+            if self == Self::Seen { PLACES + CHOICES } else { PLACES }
+        }
+    }
+
+    /// Agents observe a place and perhaps a cue, one-hot.
+    fn problem(cue: Cue) -> Problem {
         let shape = AgentShape {
-            observation: PLACES + CHOICES,
+            observation: cue.features(),
             action: 1,
             action_range: (0.0, 2.0),
             kind: ActionKind::Discrete { choices: CHOICES },
-            surprise_features: (0..PLACES + CHOICES).collect(),
-            seen: vec![],
-            near: vec![],
+            surprise_features: (0..cue.features()).collect(),
         };
         Problem { agents: vec![shape.clone(), shape], state: PLACES }
     }
 
     /// A rollout of both agents. `act` chooses both actions from the cue and the second agent's previous action.
     fn play(
+        shown: Cue,
         episode: usize,
         mut act: impl FnMut(usize, usize, &mut dyn RngCore) -> [usize; 2],
     ) -> Batch {
@@ -99,13 +102,14 @@ mod tests {
                 *last = chosen[1];
                 batch.state.extend(one_hot(place, PLACES));
                 for (agent, choice) in batch.agents.iter_mut().zip(chosen) {
-                    agent.observation.extend(one_hot(place, PLACES).chain(one_hot(cue, CHOICES)));
+                    agent.observation.extend(one_hot(place, PLACES));
+                    agent.observation.extend(one_hot(cue, CHOICES).filter(|_| shown == Cue::Seen));
                     agent.action.push(choice as f32);
                 }
                 let done = (step + 1) % episode == 0;
                 batch.truncated.push(done);
                 if done || step + 1 == STEPS {
-                    let observation = vec![vec![0.0; PLACES + CHOICES]; 2];
+                    let observation = vec![vec![0.0; shown.features()]; 2];
                     batch.finals.push(Final {
                         step,
                         environment,
@@ -127,21 +131,20 @@ mod tests {
         (cue + [0, 0, 0, 1, 2][below(5, rng)]) % CHOICES
     }
 
-    fn counting(state: CountedState) -> Config {
+    fn counting() -> Config {
         let mut config = sample::config();
         config.influence.estimator = Estimator::Count;
-        config.influence.counted_state = state;
         config
     }
 
-    fn update(config: &Config, batch: &Batch) -> Report {
+    fn update(config: &Config, cue: Cue, batch: &Batch) -> Report {
         let policy = PolicyConfig {
             core: CoreKind::Mlp,
             backpropagation_steps: 1,
             width: 8,
             ..sample::policy()
         };
-        let mut algorithm = build(config, &policy, &problem(), RunSeed(0)).unwrap();
+        let mut algorithm = build(config, &policy, &problem(cue), RunSeed(0)).unwrap();
         algorithm.update(batch, &vec![batch.reward.clone(); 2], 0).unwrap()
     }
 
@@ -152,12 +155,14 @@ mod tests {
     #[test]
     fn the_information_of_agents_that_follow_a_cue_matches_the_closed_form_and_is_zero_given_the_cue()
      {
-        let batch = play(STEPS, |cue, _, rng| [follow(cue, rng), follow(cue, rng)]);
         // Equal actions have probability 3/5 3/5 + 2 1/5 1/5 = 11/25 over three cells, unequal ones 14/25 over six.
         let (alike, unlike) = (11.0 / 75.0, 7.0 / 75.0);
         let closed = 3.0 * alike * libm::log(9.0 * alike) + 6.0 * unlike * libm::log(9.0 * unlike);
-        let found = |state| named(&update(&counting(state), &batch), "agent0/mi_estimate");
-        let (without, with) = (found(CountedState::Global), found(CountedState::Observation));
+        let found = |shown| {
+            let batch = play(shown, STEPS, |cue, _, rng| [follow(cue, rng), follow(cue, rng)]);
+            named(&update(&counting(), shown, &batch), "agent0/mi_estimate")
+        };
+        let (without, with) = (found(Cue::Hidden), found(Cue::Seen));
         // The bias of counting is 2 x 4 / (2 x 6000) and 6 x 4 / (2 x 6000) on average.
         assert!((without - closed).abs() < 0.01 && closed > 0.02, "{without} {closed}");
         assert!((0.0..0.005).contains(&with), "{with}");
@@ -166,11 +171,11 @@ mod tests {
     #[test]
     fn with_a_lag_the_previous_action_is_informative_except_across_episodes() {
         // The first agent copies the second one's previous action. Episodes last two steps.
-        let batch = play(2, |_, last, rng| [last, below(CHOICES, rng)]);
+        let batch = play(Cue::Hidden, 2, |_, last, rng| [last, below(CHOICES, rng)]);
         let found = |lag| {
-            let mut config = counting(CountedState::Global);
+            let mut config = counting();
             config.influence.lag = lag;
-            named(&update(&config, &batch), "agent0/mi_estimate")
+            named(&update(&config, Cue::Hidden, &batch), "agent0/mi_estimate")
         };
         assert!((0.0..0.005).contains(&found(0)), "{}", found(0));
         // Every second row has an information of log 3; an episode's first step has no previous one. In the very first
@@ -180,23 +185,17 @@ mod tests {
     }
 
     #[test]
-    fn the_counted_term_is_capped_for_every_divergence() {
-        let batch = play(STEPS, |cue, _, _| [cue, cue]);
-        for divergence in [Divergence::KlQp, Divergence::KlPq, Divergence::CauchySchwarz] {
-            let mut config = counting(CountedState::Global);
-            (config.influence.divergence, config.influence.kappa) = (divergence, 0.5);
-            // All actions agree, so q determines the choice: log 3 from a uniform policy, and capped.
-            let report = update(&config, &batch);
-            assert!((named(&report, "agent0/posterior_kl") - libm::log(3.0)).abs() < 0.05);
-            assert!((named(&report, "agent0/influence_kl") - 0.5).abs() < 1e-9, "{divergence:?}");
-            assert!(
-                (named(&report, "agent0/influence_capped") - 1.0).abs() < 1e-9,
-                "{divergence:?}"
-            );
-            // An unseen choice counts as e^-700, which keeps KL[p || q] below 700.
-            config.influence.kappa = 1000.0;
-            let report = update(&config, &batch);
-            assert_eq!(named(&report, "agent0/influence_capped"), 0.0, "{divergence:?}");
-        }
+    fn the_counted_term_is_capped() {
+        let batch = play(Cue::Hidden, STEPS, |cue, _, _| [cue, cue]);
+        let mut config = counting();
+        config.influence.kappa = 0.5;
+        // All actions agree, so q determines the choice: log 3 from a uniform policy, and capped.
+        let report = update(&config, Cue::Hidden, &batch);
+        assert!((named(&report, "agent0/posterior_kl") - libm::log(3.0)).abs() < 0.05);
+        assert!((named(&report, "agent0/influence_kl") - 0.5).abs() < 1e-9);
+        assert!((named(&report, "agent0/influence_capped") - 1.0).abs() < 1e-9);
+        config.influence.kappa = 1000.0;
+        let report = update(&config, Cue::Hidden, &batch);
+        assert_eq!(named(&report, "agent0/influence_capped"), 0.0);
     }
 }

@@ -34,7 +34,7 @@ impl Agent {
         experience: &Experience,
         columns: &[usize],
     ) -> Result<(Distribution, Option<Distribution>), MarlError> {
-        let input = self.memory.input(&self.network, &experience.sequences, columns)?;
+        let input = experience.sequences.input(columns)?;
         match weights {
             StepWeights::One(own) => Ok((self.network.distribution(own, &input)?, None)),
             StepWeights::Two { policy, second, weights } => {
@@ -123,7 +123,7 @@ mod tests {
             let factor = vec![1.0; experience[0].log_prob.len()];
             let key = (RunSeed(0), Draw::of(Purpose::Minibatch));
             let inputs = AgentInputs { experience: &experience[0], influence: &influence[0] };
-            maximise(&mut agents[0], inputs, &factor, f64::INFINITY, key).unwrap();
+            maximise(&mut agents[0], inputs, &factor, key).unwrap();
             assert_eq!(weights(&mut agents[0]) != before, touched);
         }
     }

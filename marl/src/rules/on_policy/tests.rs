@@ -2,7 +2,7 @@
 //! ratio and the factor `M` are 1.
 
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
-use policy::{CoreKind, PolicyConfig, RefreshHidden, RunSeed, Scratch};
+use policy::{CoreKind, PolicyConfig, RunSeed, Scratch};
 
 use super::agent::{Agent, gather};
 use super::ascent::{AgentInputs, gradient, policy_change};
@@ -30,15 +30,6 @@ fn policy(core: CoreKind) -> PolicyConfig {
         head_gain: 1.0,
         ..sample::policy()
     }
-}
-
-/// Both cores, and all settings of recurrent states.
-fn policies() -> [PolicyConfig; 5] {
-    let gru = policy(CoreKind::Gru);
-    let burnt_in = PolicyConfig { burn_in: 2 * CHUNK, ..gru.clone() };
-    let refreshed = PolicyConfig { refresh_hidden: RefreshHidden::EveryEpoch, ..gru.clone() };
-    let both = PolicyConfig { burn_in: CHUNK, ..refreshed.clone() };
-    [gru, policy(CoreKind::Mlp), burnt_in, refreshed, both]
 }
 
 fn agents(policy: &PolicyConfig) -> Vec<Agent> {
@@ -136,18 +127,16 @@ fn rollout_whole_trajectories_and_chunks_give_the_same_log_probs() {
 
 #[test]
 fn outputs_by_shards_equal_those_of_one_pass() {
-    for policy in policies() {
-        let agents = agents(&policy);
+    for core in CORES {
+        let agents = agents(&policy(core));
         let batch = played(&agents, &sample::problem());
         let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
         assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
         let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
         let (rows, _, features) = agent.evaluate(&sequences).unwrap();
         let columns: Vec<usize> = (0..layout.chunks).collect();
-        let (input, weights) = (
-            agent.memory.input(&agent.network, &sequences, &columns).unwrap(),
-            agent.network.weights().unwrap(),
-        );
+        let (input, weights) =
+            (sequences.input(&columns).unwrap(), agent.network.weights().unwrap());
         let (head, whole) = agent.network.distribution_and_features(&weights, &input).unwrap();
         assert_eq!(rows, HeadRows::of(&head).unwrap());
         assert_eq!(features.to_vec2::<f32>().unwrap(), whole.to_vec2::<f32>().unwrap());
@@ -166,17 +155,15 @@ fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize
 
 #[test]
 fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
-    for policy in policies() {
-        let mut agents = agents(&policy);
+    for core in CORES {
+        let agents = agents(&policy(core));
         let experience = &experience(&agents, &played(&agents, &sample::problem()))[0];
-        let agent = &mut agents[0];
-        agent.memory.refresh_states(&agent.network, &experience.sequences, 1).unwrap();
         let layout = experience.sequences.layout;
         for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
             let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
             for row in (0..layout.steps).flat_map(row) {
                 let ratio = ratio_of(row, &agents[0], experience, &columns);
-                assert!((ratio - 1.0).abs() <= 1e-5, "{policy:?} row {row}: {ratio}");
+                assert!((ratio - 1.0).abs() <= 1e-5, "{core:?} row {row}: {ratio}");
             }
         }
     }
@@ -184,79 +171,14 @@ fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
 
 #[test]
 fn an_unchanged_policy_leaves_the_factor_at_one() {
-    for policy in policies() {
-        let mut agents = agents(&policy);
+    for core in CORES {
+        let agents = agents(&policy(core));
         let experience = experience(&agents, &played(&agents, &sample::problem()));
         let mut factor = vec![1.0; experience[0].log_prob.len()];
-        for (agent, experience) in agents.iter_mut().zip(&experience) {
-            agent.memory.refresh_states(&agent.network, &experience.sequences, 1).unwrap();
+        for (agent, experience) in agents.iter().zip(&experience) {
             let now = policy_change(agent, experience).unwrap();
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
         }
-        assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{policy:?}: {factor:?}");
+        assert!(factor.iter().all(|m| (m - 1.0).abs() <= 1e-5), "{core:?}: {factor:?}");
     }
-}
-
-/// The largest difference between an agent's states at all chunks' starts and `expected`.
-fn max_difference(agent: &Agent, sequences: &Sequences, expected: &[f32]) -> f32 {
-    let columns: Vec<usize> = (0..sequences.layout.chunks).collect();
-    let found = agent
-        .memory
-        .input(&agent.network, sequences, &columns)
-        .unwrap()
-        .hidden
-        .flatten_all()
-        .unwrap();
-    let found = found.to_vec1::<f32>().unwrap();
-    assert_eq!(found.len(), expected.len());
-    found.iter().zip(expected).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
-}
-
-/// One agent, its rollout data, and its true states.
-fn agent_with_states(policy: &PolicyConfig) -> (Agent, Sequences, Vec<f32>) {
-    let mut agents = agents(policy);
-    let batch = played(&agents, &sample::problem());
-    let layout = Layout::of(&batch, CHUNK);
-    let sequences = Sequences::of(&batch, 0, layout, agents[0].hidden_size());
-    let had = sequences.hidden.clone();
-    (agents.remove(0), sequences, had)
-}
-
-#[test]
-fn unchanged_weights_recompute_the_stored_states() {
-    for policy in policies() {
-        let (mut agent, sequences, had) = agent_with_states(&policy);
-        agent.memory.refresh_states(&agent.network, &sequences, 1).unwrap();
-        assert!(max_difference(&agent, &sequences, &had) <= 1e-5, "{policy:?}");
-    }
-}
-
-/// Overwrites the stored states of each environment's chunks from chunk `first`.
-fn overwrite_states(sequences: &mut Sequences, first: usize) {
-    let from = first * sequences.hidden.len() / (STEPS / CHUNK);
-    sequences.hidden[from..].fill(0.9);
-}
-
-#[test]
-fn a_burn_in_starts_at_the_stored_state_that_many_steps_before_or_at_the_first() {
-    for (chunks, found) in [(3, true), (2, false)] {
-        let policy = PolicyConfig { burn_in: chunks * CHUNK, ..policy(CoreKind::Gru) };
-        let (agent, mut sequences, had) = agent_with_states(&policy);
-        overwrite_states(&mut sequences, 1);
-        assert_eq!(max_difference(&agent, &sequences, &had) <= 1e-5, found, "{chunks} chunks");
-    }
-}
-
-#[test]
-fn states_are_refreshed_from_the_first_stored_ones_except_in_the_first_epoch() {
-    let refresh_hidden = RefreshHidden::EveryEpoch;
-    let (mut agent, mut sequences, had) =
-        agent_with_states(&PolicyConfig { refresh_hidden, ..policy(CoreKind::Gru) });
-    overwrite_states(&mut sequences, 1);
-    for (epoch, found) in [(0, false), (1, true)] {
-        agent.memory.refresh_states(&agent.network, &sequences, epoch).unwrap();
-        assert_eq!(max_difference(&agent, &sequences, &had) <= 1e-5, found, "epoch {epoch}");
-    }
-    agent.memory.use_stored_states();
-    assert!(max_difference(&agent, &sequences, &had) > 1e-5);
 }

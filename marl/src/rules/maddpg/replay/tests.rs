@@ -16,8 +16,6 @@ fn problem() -> Problem {
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![],
-        seen: vec![],
-        near: vec![],
     };
     Problem { agents: vec![shape], state: 1 }
 }
