@@ -67,7 +67,7 @@ pub(crate) enum Command {
     /// Print one line per finished iteration of a run; continues when its learner restarts.
     Watch(watch::WatchArguments),
     /// Make a learner write a checkpoint and exit, as SIGTERM does.
-    Stop(control::StopArguments),
+    Stop(control::LearnerArgument),
     /// Serve a run's trained policies over gRPC: clients send observations and receive actions.
     Serve(serve::ServeArguments),
     /// Evaluate a trained policy: extrinsic return of whole episodes, with the mean action by default.
@@ -189,7 +189,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Health(arguments) => control::health(&arguments),
         Command::Status(arguments) => control::status(&arguments),
         Command::Watch(arguments) => watch::run(&arguments),
-        Command::Stop(arguments) => control::stop(&arguments),
+        Command::Stop(learner) => control::stop(&learner),
         Command::Inspect(arguments) => inspect::inspect(&arguments),
         Command::Tasks(arguments) => tasks::run(&arguments),
         Command::Task(command) => task::run(&command),

@@ -1,6 +1,7 @@
 //! `s2mia actor`: rolls out for a learner until its run is done.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use actor::Transport;
 use anyhow::Context as _;
@@ -39,8 +40,8 @@ pub(crate) struct ActorArguments {
     )]
     pub(crate) threads: u16,
     /// Exit when the learner cannot be reached for this long.
-    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
-    pub(crate) max_outage_secs: f64,
+    #[arg(long, value_name = "SECONDS", default_value = "300", value_parser = seconds)]
+    pub(crate) max_outage_secs: Duration,
     /// Exit when standard input closes, so that the actor does not outlive its parent process.
     #[arg(long)]
     pub(crate) exit_with_stdin: bool,
@@ -85,7 +86,6 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
 
 /// The actor's settings, checked; the program ends with status 2 if they are wrong.
 fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
-    let patience = seconds("--max-outage-secs", arguments.max_outage_secs)?;
     let transport = match (arguments.tls.read()?, arguments.insecure_allow_remote) {
         (Some(tls), _) => Transport::Tls(tls),
         (None, true) => Transport::PlainText,
@@ -103,7 +103,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
         transport,
         token: listening::token_of_environment()?,
         environment: arguments.environment,
-        max_outage_secs: patience.as_secs_f64(),
+        max_outage_secs: arguments.max_outage_secs.as_secs_f64(),
         name,
         threads: arguments.threads.into(),
         build: BUILD.to_owned(),

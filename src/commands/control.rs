@@ -25,6 +25,9 @@ pub(crate) struct LearnerArgument {
     /// one, else http://127.0.0.1:50051].
     #[arg(value_name = "RUN | URL | HOST:PORT", default_value = "", hide_default_value = true, value_parser = run_path::or_newest)]
     pub(crate) of: String,
+    /// Timeout for the learner's response.
+    #[arg(long, value_name = "SECONDS", default_value = "3", value_parser = seconds)]
+    pub(crate) timeout_secs: Duration,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ClientTlsArguments,
@@ -33,42 +36,23 @@ pub(crate) struct LearnerArgument {
 /// Longest time that an option accepts, seconds: 31 years. Deadlines of calls cannot be much longer.
 const LONGEST_SECS: f64 = 1e9;
 
-/// The timeout that `--timeout-secs` gives.
-pub(crate) fn patience(timeout_secs: f64) -> Result<Duration, Usage> {
-    seconds("--timeout-secs", timeout_secs)
-}
-
-/// The time that `option` gives; refuses a negative, infinite or too long one.
-pub(crate) fn seconds(option: &str, secs: f64) -> Result<Duration, Usage> {
-    if (0.0..=LONGEST_SECS).contains(&secs) {
-        Ok(Duration::from_secs_f64(secs))
-    } else {
-        Err(Usage::new(format!("{option} must be 0 to {LONGEST_SECS} s, is {secs:?}")))
+/// Parses the time that an option gives, for clap; refuses a negative, infinite or too long one.
+pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(secs) if (0.0..=LONGEST_SECS).contains(&secs) => Ok(Duration::from_secs_f64(secs)),
+        _ => Err(format!("must be 0 to {LONGEST_SECS} s")),
     }
 }
 
-/// `s2mia stop`
-#[derive(Args, Debug)]
-pub(crate) struct StopArguments {
-    /// Learner.
-    #[command(flatten)]
-    pub(crate) learner: LearnerArgument,
-    /// Timeout for the learner's response.
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
-    pub(crate) timeout_secs: f64,
-}
-
 /// Ends the learner.
-pub(super) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
-    let learner = &arguments.learner;
+pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
     let of = &learner.of;
-    let patience = patience(arguments.timeout_secs)?;
     let Some(url) = url(learner)? else {
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
     runtime()?.block_on(async {
-        operator(&url, learner, patience).await?.stop().await.map_err(anyhow::Error::from)
+        operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from)
     })?;
     output::line(format!("{of} stops after a checkpoint"));
     Ok(())
@@ -99,18 +83,14 @@ pub(super) fn address(of: &str) -> Option<&str> {
 }
 
 /// A connection to the learner at `url`.
-pub(super) async fn operator(
-    url: &str,
-    learner: &LearnerArgument,
-    patience: Duration,
-) -> anyhow::Result<Operator> {
+pub(super) async fn operator(url: &str, learner: &LearnerArgument) -> anyhow::Result<Operator> {
     let tls = credentials(url, &learner.tls)?;
     // Plain text to another machine would show the token to the network.
     let authority = url.split_once("://").map_or(url, |(_, rest)| rest);
     let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
     let is_private = tls.is_some() || addresses::is_loopback(host);
     let token = token_for_run(Path::new(&learner.of))?.filter(|_| is_private);
-    Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), patience).await?)
+    Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), learner.timeout_secs).await?)
 }
 
 /// `s2mia status`
@@ -122,17 +102,13 @@ pub(crate) struct StatusArguments {
     /// Print one JSON object.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Timeout for the learner's response.
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
-    pub(crate) timeout_secs: f64,
 }
 
 /// Prints one line and a table of leases, or one JSON object.
 pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
-    let patience = patience(arguments.timeout_secs)?;
     let Some(url) = url(&arguments.learner)? else { return at_rest(arguments) };
     let status = runtime()?.block_on(async {
-        let mut operator = operator(&url, &arguments.learner, patience).await?;
+        let mut operator = operator(&url, &arguments.learner).await?;
         anyhow::Ok(operator.status().await?)
     })?;
     if arguments.json {
@@ -256,8 +232,8 @@ pub(crate) struct HealthArguments {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:50051")]
     pub(crate) learner: String,
     /// Timeout for the learner's response.
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
-    pub(crate) timeout_secs: f64,
+    #[arg(long, value_name = "SECONDS", default_value = "3", value_parser = seconds)]
+    pub(crate) timeout_secs: Duration,
     /// TLS.
     #[command(flatten)]
     pub(crate) tls: ClientTlsArguments,
@@ -265,9 +241,12 @@ pub(crate) struct HealthArguments {
 
 /// Ends with status 0 if the learner serves, else with a one-line reason.
 pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
-    let patience = patience(arguments.timeout_secs)?;
     let tls = credentials(&arguments.learner, &arguments.tls)?;
-    let asked = learner::serve::health::demand_serving(&arguments.learner, tls.as_ref(), patience);
+    let asked = learner::serve::health::demand_serving(
+        &arguments.learner,
+        tls.as_ref(),
+        arguments.timeout_secs,
+    );
     runtime()?.block_on(asked)?;
     output::line(format!("{} serves", arguments.learner));
     Ok(())
@@ -278,12 +257,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_that_no_deadline_can_have_are_refused_in_one_line() {
-        for secs in [-1.0, -1e300, f64::NAN, f64::INFINITY, 1e300, 1.1e9] {
-            let line = seconds("--timeout-secs", secs).unwrap_err().to_string();
-            assert_eq!(line, format!("--timeout-secs must be 0 to 1000000000 s, is {secs:?}"));
+    fn times_that_no_deadline_can_have_are_refused() {
+        for text in ["-1", "-1e300", "NaN", "inf", "1e300", "1.1e9", "soon", ""] {
+            assert_eq!(seconds(text).unwrap_err(), "must be 0 to 1000000000 s", "{text}");
         }
-        assert_eq!(seconds("--timeout-secs", 0.0).unwrap(), Duration::ZERO);
-        assert_eq!(seconds("--timeout-secs", 1e9).unwrap(), Duration::from_secs(1_000_000_000));
+        assert_eq!(seconds("0"), Ok(Duration::ZERO));
+        assert_eq!(seconds("1e9"), Ok(Duration::from_secs(1_000_000_000)));
     }
 }

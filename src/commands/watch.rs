@@ -27,19 +27,16 @@ pub(crate) struct WatchArguments {
     #[arg(long)]
     pub(crate) json: bool,
     /// Exit if the learner cannot be reached for this long.
-    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
-    pub(crate) max_outage_secs: f64,
+    #[arg(long, value_name = "SECONDS", default_value = "300", value_parser = seconds)]
+    pub(crate) max_outage_secs: Duration,
 }
 
-/// How long a learner may take to answer.
-const ANSWER: Duration = Duration::from_secs(3);
 /// Pause between two tries to reach it.
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// Prints one line per finished iteration until the run has had its last one.
 pub(super) fn run(arguments: &WatchArguments) -> anyhow::Result<()> {
-    let outage = seconds("--max-outage-secs", arguments.max_outage_secs)?;
-    runtime()?.block_on(Watch::new(arguments).until_the_end(outage))
+    runtime()?.block_on(Watch::new(arguments).until_the_end())
 }
 
 /// A watcher and the last iteration that it has shown.
@@ -57,8 +54,9 @@ impl<'a> Watch<'a> {
         Self { arguments, run_id: None, seen, reached: Instant::now() }
     }
 
-    /// One learner after the other; gives up when none has been reached for as long as `outage`.
-    async fn until_the_end(mut self, outage: Duration) -> anyhow::Result<()> {
+    /// One learner after the other; gives up when none has been reached for as long as an outage may last.
+    async fn until_the_end(mut self) -> anyhow::Result<()> {
+        let outage = self.arguments.max_outage_secs;
         // Once for each learner that has gone.
         let mut reported = None;
         loop {
@@ -93,7 +91,7 @@ impl<'a> Watch<'a> {
             self.show(&rest.last_line());
             return Ok(RunEnd::Finished);
         };
-        let mut operator = operator(&url, learner, ANSWER).await?;
+        let mut operator = operator(&url, learner).await?;
         self.meet(operator.status().await?.run_id);
         let lines = operator.watch(self.seen).await?;
         let ended = self.follow(lines).await;

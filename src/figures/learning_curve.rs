@@ -117,7 +117,7 @@ impl Curve {
 pub(crate) struct Series {
     /// Variant, for the legend; the same in every panel.
     pub(crate) label: String,
-    /// Rank, which determines its colour, marks and line style.
+    /// Rank, which determines its colour and mark.
     pub(crate) rank: usize,
     /// Number of runs.
     pub(crate) runs: usize,
@@ -206,13 +206,14 @@ type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 const ALGORITHMS: [&str; 8] =
     ["happo-s2mia", "happo", "mappo", "maddpg", "happo-sm", "happo-smh", "happo-mi", "happo-0"];
 
-/// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others follow them.
+/// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others those that are left.
 fn rank(name: &str, names: &[&str]) -> usize {
     let shipped = |name: &str| ALGORITHMS.iter().position(|known| *known == name);
-    let first = if names.iter().any(|name| shipped(name).is_some()) { ALGORITHMS.len() } else { 0 };
+    let is_free = |rank: &usize| !names.iter().any(|name| shipped(name) == Some(*rank));
     let others = names.iter().filter(|other| shipped(other).is_none());
-    let follows = || first + others.take_while(|other| **other != name).count();
-    shipped(name).unwrap_or_else(follows)
+    let index = others.take_while(|other| **other != name).count();
+    let left = || (0..).filter(is_free).nth(index).expect("the ranks do not end");
+    shipped(name).unwrap_or_else(left)
 }
 
 /// A panel for each quantity and task, quantity by quantity, tasks in the order of the curves; the same variant has the

@@ -12,7 +12,7 @@ use kuva::render::render::{Scene, render_multiple};
 
 use crate::figures::learning_curve::{Panel, Point, Series};
 use crate::figures::statistics::Interval;
-use crate::figures::style::{MARK, STROKE, colour, cut_dashes, line_style, marker};
+use crate::figures::style::{MARK, STROKE, colour, marker};
 use crate::figures::{chart, style};
 
 /// Marks on one curve, about.
@@ -88,7 +88,6 @@ pub(crate) fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> 
         _ => grid(panels, columns, bands),
     };
     style::add_legend(&mut scene, &distinct(panels));
-    cut_dashes(&mut scene);
     let png = PngBackend::new().with_scale(2.0).render_scene(&scene).map_err(anyhow::Error::msg)?;
     Ok(Picture { svg: SvgBackend::new().render_scene(&scene), png })
 }
@@ -168,7 +167,7 @@ fn band(series: &Series, opacity: f64, of: fn(&Point) -> Interval) -> Plot {
 fn line(series: &Series) -> Plot {
     let points = series.points.iter().map(|point| (point.env_steps, point.centre));
     let line = LinePlot::new().with_data(points).with_color(colour(series.rank));
-    Plot::Line(line.with_stroke_width(STROKE).with_line_style(line_style(series.rank)))
+    Plot::Line(line.with_stroke_width(STROKE))
 }
 
 /// Marks on the curve. Curves begin theirs at different points.

@@ -1,6 +1,5 @@
-//! The looks of a series, which its rank determines: colour, marks and dashes; and the legend that shows them.
+//! The looks of a series, which its rank determines: colour and marks; and the legend that shows them.
 
-use kuva::plot::LineStyle;
 use kuva::plot::scatter::MarkerShape;
 use kuva::render::color::Color;
 use kuva::render::render::{PathData, Primitive, Scene, TextAnchor};
@@ -61,78 +60,7 @@ pub(super) fn marker(rank: usize) -> MarkerShape {
     MARKERS[(rank + 3 * (rank / COLOURS.len())) % MARKERS.len()]
 }
 
-/// Dashes of a rank: none for the first ranks, which differ in colour.
-pub(super) fn line_style(rank: usize) -> LineStyle {
-    match rank / COLOURS.len() {
-        0 => LineStyle::Solid,
-        1 => LineStyle::Dashed,
-        _ => LineStyle::Dotted,
-    }
-}
-
-/// Replaces dashed lines by their dashes. kuva's PNG begins the dashes anew at every point of a curve, so that a curve of
-/// many points would be solid.
-pub(super) fn cut_dashes(scene: &mut Scene) {
-    let elements = std::mem::take(&mut scene.elements);
-    for element in elements {
-        match element {
-            Primitive::PolyLine {
-                points,
-                stroke,
-                stroke_width,
-                stroke_dasharray: Some(pattern),
-            } => {
-                let lengths: Vec<f64> =
-                    pattern.split_whitespace().filter_map(|length| length.parse().ok()).collect();
-                for points in dashes(&points, &lengths) {
-                    let stroke = stroke.clone();
-                    let stroke_dasharray = None;
-                    scene.add(Primitive::PolyLine {
-                        points,
-                        stroke,
-                        stroke_width,
-                        stroke_dasharray,
-                    });
-                }
-            }
-            other => scene.add(other),
-        }
-    }
-}
-
-/// The dashes along a line; `pattern` has the lengths of dash, gap, dash and so on.
-fn dashes(points: &[(f64, f64)], pattern: &[f64]) -> Vec<Vec<(f64, f64)>> {
-    let Some(&first) = points.first() else { return Vec::new() };
-    let mut pieces = vec![vec![first]];
-    let mut lengths = pattern.iter().copied().cycle();
-    let (mut is_dash, mut left) = (true, lengths.next().unwrap_or(f64::INFINITY));
-    for pair in points.windows(2) {
-        let ((x, y), (to_x, to_y)) = (pair[0], pair[1]);
-        let (right, down) = (to_x - x, to_y - y);
-        let length = (right * right + down * down).sqrt();
-        let mut done = 0.0;
-        while length - done > left {
-            done += left;
-            let share = done / length;
-            let point = (x + share * right, y + share * down);
-            if is_dash {
-                pieces.last_mut().expect("there is a first piece").push(point);
-            } else {
-                pieces.push(vec![point]);
-            }
-            is_dash = !is_dash;
-            left = lengths.next().unwrap_or(f64::INFINITY);
-        }
-        left -= length - done;
-        if is_dash {
-            pieces.last_mut().expect("there is a first piece").push((to_x, to_y));
-        }
-    }
-    pieces.retain(|piece| piece.len() > 1);
-    pieces
-}
-
-/// Length of the piece of a curve, long enough for several dashes. All lengths are in SVG units.
+/// Length of the piece of a curve, with a mark on it. All lengths are in SVG units.
 const PIECE: f64 = 52.0;
 /// Distance between the piece and its label, and between columns.
 const GAP: f64 = 10.0;
@@ -168,7 +96,7 @@ fn entry(scene: &mut Scene, series: &Series, (x, y): (f64, f64)) {
         points: vec![(x, y), (x + PIECE, y)],
         stroke: colour.as_str().into(),
         stroke_width: STROKE,
-        stroke_dasharray: line_style(series.rank).dasharray(),
+        stroke_dasharray: None,
     });
     mark(scene, marker(series.rank), &colour.as_str().into(), (x + PIECE / 2.0, y));
     scene.add(Primitive::Text {
@@ -259,23 +187,10 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_many_points_has_the_same_dashes_as_one_of_two() {
-        let few = [(0.0, 0.0), (30.0, 0.0)];
-        let many: Vec<(f64, f64)> = (0..=60).map(|k| (f64::from(k) / 2.0, 0.0)).collect();
-        let ends = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
-            let ends = |piece: &Vec<(f64, f64)>| (piece[0].0, piece[piece.len() - 1].0);
-            dashes(points, &[8.0, 4.0]).iter().map(ends).collect()
-        };
-        assert_eq!(ends(&few), [(0.0, 8.0), (12.0, 20.0), (24.0, 30.0)]);
-        assert_eq!(ends(&many), ends(&few));
-    }
-
-    #[test]
-    fn twenty_four_ranks_look_different() {
-        let looks = |rank: usize| (colour(rank), line_style(rank).dasharray());
-        for rank in 0..24 {
+    fn sixty_four_ranks_look_different() {
+        let looks = |rank: usize| (colour(rank), marker(rank));
+        for rank in 0..64 {
             assert!((0..rank).all(|other| looks(other) != looks(rank)), "{rank}");
-            assert!((rank % 8 == rank) || marker(rank) != marker(rank % 8), "{rank}");
         }
     }
 }
