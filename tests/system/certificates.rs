@@ -1,18 +1,14 @@
 //! Authentication and authorisation with real processes: certificates of another authority, of the wrong role or
 //! expired, plain text to a TLS port and the reverse. Each is rejected with one line on either
 //! side, and the run continues.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/learners.rs"]
-mod learners;
-
-use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, SystemTime};
 
-use learners::{Learner, inspect};
+use crate::commands::Background;
+use crate::learners::{Learner, inspect};
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::wire::policy_service_client::PolicyServiceClient;
 use proto::wire::{DescribePolicyRequest, DescribeRunRequest};
@@ -205,24 +201,17 @@ async fn missing_expired_and_roleless_certificates_are_rejected() {
     }
 }
 
-/// A server of the policies in `run`, and its URL.
-fn served(run: &Path, tls: &[String]) -> (Child, String) {
-    let own = ["serve", run.to_str().unwrap(), "--listen=127.0.0.1:0"];
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(own).args(tls).stdout(Stdio::piped()).stderr(Stdio::null());
-    let mut server = command.spawn().unwrap();
-    let mut first = String::new();
-    BufReader::new(server.stdout.take().unwrap()).read_line(&mut first).unwrap();
-    (server, first.split_whitespace().last().unwrap().to_owned())
-}
-
 #[tokio::test]
 async fn policies_are_served_over_tls_to_operators() {
     let folder = tempfile::tempdir().unwrap();
     let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
     let mut learner = Learner::start(&run, &[]);
     learner.stop();
-    let (mut server, url) = served(&run, &own.of_learner());
+    let tls = own.of_learner();
+    let tls = tls.iter().map(String::as_str).collect::<Vec<_>>();
+    let own_arguments = ["serve", run.to_str().unwrap(), "--listen=127.0.0.1:0"];
+    let mut server = Background::start(&[&own_arguments, tls.as_slice()].concat());
+    let url = server.url();
     assert!(url.starts_with("https://"));
     for (role, may) in [("operator", true), ("actor", false)] {
         let read = |name: String| std::fs::read(own.file(&name)).unwrap();
@@ -235,8 +224,6 @@ async fn policies_are_served_over_tls_to_operators() {
         let denied = text.as_ref().is_err_and(|status| status.code() == Code::PermissionDenied);
         assert!(text.is_ok() == may && denied != may, "{role}: {text:?}");
     }
-    server.kill().unwrap();
-    server.wait().unwrap();
 }
 
 #[test]

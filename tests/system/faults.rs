@@ -1,32 +1,24 @@
 //! Faults of the learner's host: its process is suspended, it runs out of file descriptors, a certificate
 //! expires. Each is reported in one line, the actors survive, and the run ends as an undisturbed one.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-#[path = "system/learners.rs"]
-mod learners;
-#[path = "system/waiting.rs"]
-mod waiting;
 
 use std::fs::File;
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
 
-use learners::{Learner, inspect};
+use crate::commands::signal;
+use crate::learners::{Learner, inspect};
+use crate::runs::s2mia;
+use crate::waiting::{eventually, has_begun};
 use security::Role;
 use security::development::Issuer;
-use waiting::{eventually, has_begun};
 
 /// Iterations of a run that is stopped when its test has seen enough.
 const ENDLESS: &str = "run.iterations=1000000";
 const DAY: Duration = Duration::from_secs(86_400);
 /// Validity of a certificate that expires during a test.
 const SHORT: Duration = Duration::from_secs(15);
-
-fn s2mia(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap()
-}
 
 /// An actor process, and the file with its log.
 struct Actor {
@@ -88,7 +80,7 @@ fn continues(run: &Path) {
 fn stopped(learner: &mut Learner, actors: Vec<Actor>) -> String {
     let log = learner.stop();
     for mut actor in actors {
-        run("kill", &[&actor.process.id().to_string()]);
+        signal(actor.process.id(), "-TERM");
         assert!(actor.process.wait().unwrap().success(), "{}", actor.log());
     }
     log
@@ -111,11 +103,11 @@ fn a_learner_that_is_suspended_for_twenty_seconds_keeps_its_actors_and_its_resul
     let mut learner = Learner::start(&run_folder, &settings.map(str::to_owned));
     let actors = ["one", "two"].map(|name| Actor::start(folder.path(), name, &learner.url, &[]));
     has_begun(&run_folder);
-    let id = learner.process.id().to_string();
-    run("kill", &["-STOP", &id]);
+    let id = learner.process.id();
+    signal(id, "-STOP");
     // Longer than leases, calls and heartbeats may take.
     std::thread::sleep(Duration::from_secs(20));
-    run("kill", &["-CONT", &id]);
+    signal(id, "-CONT");
     continues(&run_folder);
     stopped(&mut learner, actors.into());
     ends_as_undisturbed(&run_folder);
