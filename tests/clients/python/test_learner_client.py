@@ -83,13 +83,6 @@ def test_certificates_decide_who_may_stop_a_run(secured):
     assert "stopped after iteration 0" in learner.finish()
 
 
-def test_plain_text_to_a_learner_with_certificates_is_refused(secured):
-    learner, _ = secured
-    with s2mia.Client(learner.url.replace("https", "http"), timeout_secs=10) as client:
-        with pytest.raises(ConnectionError, match="^http://.*: [A-Z_]+: "):
-            client.status()
-
-
 @pytest.mark.parametrize(
     ("address", "tls", "expected"),
     [
