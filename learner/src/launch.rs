@@ -1,5 +1,4 @@
-//! From what a run is started with to a trainer that stands between two iterations: at the very
-//! beginning, or where the newest good checkpoint left off.
+//! Builds a trainer from the settings of a run: a new one, or one that resumes from the newest valid checkpoint.
 
 use std::path::PathBuf;
 
@@ -22,7 +21,7 @@ use crate::train::evaluation::Evaluations;
 use crate::train::provenance::Provenance;
 use crate::train::trainer::{Trainer, policy_bytes};
 
-/// What a run is started with.
+/// The settings of a run and the parts of the program that it needs.
 #[derive(Clone, Debug)]
 pub struct Launch {
     /// Environments, leases, evaluation, checkpoints, threads.
@@ -119,7 +118,7 @@ impl Launch {
         }
     }
 
-    /// What the run folder says of the run, besides the fields given in `manifest`.
+    /// The manifest of the run folder.
     pub(crate) fn manifest(&self) -> Value {
         let mut manifest = self.manifest.as_object().cloned().unwrap_or_default();
         let own = json!({
@@ -186,7 +185,7 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
         loaded => loaded?,
     };
     for (path, reason) in &loaded.skipped {
-        tracing::error!("{} is passed over: {reason}", path.display());
+        tracing::error!("{} is damaged and skipped: {reason}", path.display());
     }
     let (from, whole) = (loaded.checkpoint.iteration, loaded.skipped.is_empty());
     let latest = checkpoint::named_latest(&checkpoint::folder(folder.path()));
@@ -247,8 +246,7 @@ fn build(
     })
 }
 
-/// `threads` of them; 0 stands for one per core. rayon's own reading of 0 is not that: it obeys
-/// `RAYON_NUM_THREADS`.
+/// Number of threads; 0 stands for one per core. rayon would read `RAYON_NUM_THREADS` instead.
 fn thread_count(threads: usize) -> usize {
     match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),

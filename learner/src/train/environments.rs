@@ -285,9 +285,10 @@ impl Environments {
                 size => fields::f32s(arrays, &recurrent_name(index), count * size)?,
             });
         }
-        let begun_again = match arrays.contains_key(BEGUN_AGAIN) {
-            true => fields::counts(arrays, BEGUN_AGAIN, count)?,
-            false => vec![0; count],
+        let begun_again = if arrays.contains_key(BEGUN_AGAIN) {
+            fields::counts(arrays, BEGUN_AGAIN, count)?
+        } else {
+            vec![0; count]
         };
         let read = |e: usize| {
             if begun_again[e] == 1 {
