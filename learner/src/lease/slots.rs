@@ -27,6 +27,7 @@ mod claims;
 mod disagreement;
 mod failures;
 mod figures;
+mod item;
 mod leases;
 mod open;
 mod outcome;

@@ -183,7 +183,9 @@ impl Cluster {
             Message::Offered(Offer::Lease(lease)) if held.is_none() => {
                 own.work = Some(Progress { lease, sent: 0, acknowledged: 0 });
             }
-            Message::Acknowledged { lease, finished: true, .. } if held == Some(lease) => {
+            Message::Acknowledged { lease, finished: true, .. } | Message::Ended(lease)
+                if held == Some(lease) =>
+            {
                 own.work = None
             }
             Message::Acknowledged { lease, sequence, .. } if held == Some(lease) => {
@@ -191,7 +193,6 @@ impl Cluster {
                 progress.acknowledged = progress.acknowledged.max(sequence + 1);
                 progress.sent = progress.sent.max(progress.acknowledged);
             }
-            Message::Ended(lease) if held == Some(lease) => own.work = None,
             Message::Unknown => self.kill(index),
             _ => {}
         }
@@ -211,13 +212,13 @@ impl Cluster {
                 let header = PushHeader::of(&lease, honest(&lease, sequence));
                 let part = ResultPart::Chunk(chunk(&lease, sequence));
                 let accepted = self.table.take(connection, &header, part);
-                let finished = accepted.as_ref().is_ok_and(|ack| ack.lease_finished);
-                self.answer(connection, &lease, accepted.map(|_| (sequence, finished)))
+                let accepted = accepted.map(|ack| (sequence, ack.lease_finished));
+                self.answer(connection, &lease, accepted)
             }
             Message::Episode(lease) => {
                 let Work::Evaluation(work) = lease.work else { unreachable!("sent by act") };
-                let episode = work.episode;
-                let result = EvaluationResult { episode, extrinsic_return: 1.0, steps: 5 };
+                let result =
+                    EvaluationResult { episode: work.episode, extrinsic_return: 1.0, steps: 5 };
                 let header = PushHeader::of(&lease, result.digest(work.iteration));
                 let accepted = self.table.take(connection, &header, ResultPart::Episode(result));
                 self.answer(connection, &lease, accepted.map(|_| (0, true)))
@@ -241,10 +242,7 @@ impl Cluster {
     ) -> Message {
         match self.table.lease(connection, actor, incarnation) {
             Ok(offer) => {
-                assert_eq!(
-                    incarnation, self.incarnation,
-                    "an offer to an actor of an earlier incarnation"
-                );
+                assert_eq!(incarnation, self.incarnation, "an offer to an old incarnation");
                 if let Offer::Lease(lease) = &offer {
                     self.check_lease(actor, lease);
                 }

@@ -5,8 +5,9 @@ use std::time::Duration;
 use proto::{LeaseId, Reason, Refusal};
 
 use super::actors::Owner;
+use super::item::HeldLease;
 use super::leases::Claimed;
-use super::works::{HeldLease, Key, Works};
+use super::works::{Key, Works};
 use super::{Effect, SlotTable, Trust};
 
 /// The time that a second lease has doubles this many times at most.

@@ -2,7 +2,8 @@
 
 use proto::LeaseStatus;
 
-use super::works::{Group, HeldLease, Works};
+use super::item::HeldLease;
+use super::works::{Group, Works};
 use super::{ConnectionId, Counts, Footprint, SlotTable};
 
 impl SlotTable {

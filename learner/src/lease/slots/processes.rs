@@ -127,7 +127,8 @@ impl Processes {
         self.waiting.insert(process, Waiting { until: now + SILENCE, kept: None });
     }
 
-    /// The process got work, or may not have the free work. Whether work that was kept is free for the others now, because no other process waits.
+    /// The process got work, or may not have the free work. Whether work that was kept is free for the others now, because
+    /// no other process waits.
     pub(super) fn wait_no_more(&mut self, process: Process) -> bool {
         let was_kept = |one: Waiting| one.kept.is_some();
         self.waiting.remove(&process).is_some_and(was_kept) && self.waiting.is_empty()

@@ -1,5 +1,5 @@
-//! How long slots and episodes usually take, for the decision that one takes too long. Messages and round trips make the time for each
-//! environment depend on the size of a slot, so only slots of the latest size count.
+//! How long slots and episodes usually take, for the decision that one takes too long. Messages and round trips make the
+//! time for each environment depend on the size of a slot, so only slots of the latest size count.
 
 use std::collections::VecDeque;
 use std::time::Duration;

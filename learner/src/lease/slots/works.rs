@@ -6,14 +6,12 @@ use std::ops::Bound;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::{EvaluationResult, EvaluationWork, LeaseId, RolloutWork, WeightsName, Work};
+use proto::{EvaluationWork, LeaseId, RolloutWork, WeightsName, Work};
 
 use super::disagreement::{Computed, Disagreement};
+use super::item::{EarlierResult, HeldLease, Item, Output, State, latest};
 use super::leases::{Claim, Claimed, OpenLease};
 use super::{Effect, EvaluationOutcome, SlotRollout, Trust};
-
-/// Results of ended leases kept for comparison, for each slot.
-const MOST_EARLIER_RESULTS: usize = 8;
 
 /// The slots of the open iteration, which are leased first, or the episodes of the evaluation of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -54,49 +52,6 @@ pub(super) struct Works {
     held: BTreeSet<(Duration, usize)>,
     /// Items whose result is complete, those that the trainer took included.
     complete: usize,
-}
-
-/// A slot or an episode.
-#[derive(Debug)]
-struct Item {
-    work: Arc<Work>,
-    /// Leases so far.
-    issued: u32,
-    state: State,
-    /// Digests from ended leases, from the first chunk on.
-    earlier: Vec<EarlierResult>,
-}
-
-/// What happens to an item, in this order. A lost lease makes it free again.
-#[derive(Debug)]
-enum State {
-    /// It has no lease.
-    Free,
-    /// These leases compute it, the oldest first; two if the first one is slow.
-    Held(Vec<HeldLease>),
-    /// Its result is there.
-    Complete(Output),
-    /// The trainer has its result.
-    Taken,
-}
-
-#[derive(Debug)]
-enum Output {
-    Slot(SlotRollout),
-    Episode(EvaluationResult),
-}
-
-/// A lease of a slot or an episode, and when it began.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct HeldLease {
-    pub(super) id: LeaseId,
-    pub(super) since: Duration,
-}
-
-#[derive(Clone, Debug)]
-struct EarlierResult {
-    computed: Computed,
-    complete: bool,
 }
 
 impl Works {
@@ -339,55 +294,6 @@ impl Works {
     }
 }
 
-impl Item {
-    /// Adds a lease to the first one. The second lease that was there before.
-    fn add_backup(&mut self, lease: HeldLease) -> Option<LeaseId> {
-        let State::Held(leases) = &mut self.state else { return None };
-        let replaced = leases.split_off(1);
-        leases.push(lease);
-        replaced.first().map(|replaced| replaced.id)
-    }
-
-    fn drop_lease(&mut self, id: LeaseId) {
-        if let State::Held(leases) = &mut self.state {
-            leases.retain(|lease| lease.id != id);
-            if leases.is_empty() {
-                self.state = State::Free;
-            }
-        }
-    }
-
-    fn is_confirmed(&self, result: &Computed) -> bool {
-        let confirms =
-            |other: &EarlierResult| other.complete && other.computed.digests == result.digests;
-        self.earlier.iter().any(confirms)
-    }
-
-    fn is_contradicted(&self, result: &Computed) -> bool {
-        let mut earlier = self.earlier.iter();
-        earlier.any(|other| other.computed.first_difference(result).is_some())
-    }
-
-    fn complete_contradiction(&self, result: &Computed) -> Option<Disagreement> {
-        let other = self.earlier.iter().find(|other| other.complete)?;
-        Disagreement::between(&self.work, &other.computed, result)
-    }
-
-    /// Keeps a result that adds to what is known. Complete results are never pushed out.
-    fn remember(&mut self, result: EarlierResult) {
-        let digests = &result.computed.digests;
-        let known = |other: &EarlierResult| other.computed.digests.starts_with(digests);
-        if !result.complete && self.earlier.iter().any(known) || digests.is_empty() {
-            return;
-        }
-        if self.earlier.len() == MOST_EARLIER_RESULTS {
-            let oldest = self.earlier.iter().position(|other| !other.complete);
-            oldest.map(|at| self.earlier.remove(at));
-        }
-        self.earlier.push(result);
-    }
-}
-
 /// The iteration that the work belongs to.
 pub(super) fn iteration(work: &Work) -> u64 {
     match work {
@@ -402,9 +308,4 @@ pub(super) fn environments(work: &Work) -> usize {
         Work::Rollout(slot) => slot.environments.len(),
         Work::Evaluation(_) => 1,
     }
-}
-
-/// The begin of the latest of the leases of an item.
-fn latest(leases: &[HeldLease]) -> Duration {
-    leases.last().map_or(Duration::ZERO, |lease| lease.since)
 }
