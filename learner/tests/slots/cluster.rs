@@ -105,8 +105,6 @@ impl Cluster {
         self.check_footprint();
     }
 
-    // The actors.
-
     fn send(&mut self, index: usize, message: Message) {
         let own = &self.actors[index];
         if let (Some((actor, incarnation)), Some(connection)) = (own.actor, own.connection) {
