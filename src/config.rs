@@ -1,21 +1,19 @@
 //! The settings of a run: layers of TOML, environment variables and `key=value`, each value with its origin.
 //! `config/run_config.rs` and the crates interpret the values.
 
-pub(crate) mod blame;
 mod conditions;
 pub(crate) mod effect;
-pub(crate) mod environment_section;
 pub(crate) mod error;
 pub(crate) mod keys;
-mod layer;
 pub(crate) mod layers;
 pub(crate) mod message_steps;
 pub(crate) mod own_task;
 pub(crate) mod presets;
 pub(crate) mod resolved;
+mod rules;
 pub(crate) mod run_config;
 pub(crate) mod run_settings;
-pub(crate) mod scalar;
+mod scalar;
 
 pub(crate) use error::ConfigError;
 pub(crate) use layers::Request;

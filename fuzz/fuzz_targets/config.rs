@@ -6,20 +6,14 @@
 /// As `src/config.rs` has them; the command line is no library.
 #[path = "."]
 mod config {
-    #[path = "../../src/config/blame.rs"]
-    pub(crate) mod blame;
     #[path = "../../src/config/conditions.rs"]
     pub(crate) mod conditions;
     #[path = "../../src/config/effect.rs"]
     pub(crate) mod effect;
-    #[path = "../../src/config/environment_section.rs"]
-    pub(crate) mod environment_section;
     #[path = "../../src/config/error.rs"]
     pub(crate) mod error;
     #[path = "../../src/config/keys.rs"]
     pub(crate) mod keys;
-    #[path = "../../src/config/layer.rs"]
-    pub(crate) mod layer;
     #[path = "../../src/config/layers.rs"]
     pub(crate) mod layers;
     #[path = "../../src/config/message_steps.rs"]
@@ -30,6 +24,8 @@ mod config {
     pub(crate) mod presets;
     #[path = "../../src/config/resolved.rs"]
     pub(crate) mod resolved;
+    #[path = "../../src/config/rules.rs"]
+    pub(crate) mod rules;
     #[path = "../../src/config/run_config.rs"]
     pub(crate) mod run_config;
     #[path = "../../src/config/run_settings.rs"]

@@ -1,7 +1,7 @@
 //! The learner's settings: environments, leases, evaluation, checkpoints, threads. Defaults stand in
 //! the binary's configuration files, never here.
 
-use policy::PolicyConfig;
+use policy::setting::{SettingError, between, divisor, within};
 use serde::{Deserialize, Serialize};
 
 mod audit;
@@ -13,9 +13,8 @@ const SLOTS_PER_THREAD: usize = 2;
 /// Most environments of a slot that is cut to the actor threads: more share a message, but one failure loses them all.
 const MOST_PER_SLOT: usize = 10;
 
-/// The learner's settings besides the algorithm.
+/// The learner's settings besides the algorithm, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Config {
     /// How many environments, and how they are cut into slots.
     pub environments: EnvironmentsConfig,
@@ -75,17 +74,8 @@ impl LeaseConfig {
         self.ttl_secs / HEARTBEATS_PER_LEASE
     }
 
-    /// Refuses times that no run can work with.
-    ///
-    /// # Errors
-    /// Names the first key that is wrong and its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let within = |key, value: f64, low: f64, high: f64| {
-            let good = (low..=high).contains(&value);
-            let range = format!("{low} to {high}");
-            good.then_some(()).ok_or_else(|| ConfigError { key, found: value.to_string(), range })
-        };
-        within("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)
+    fn validate(&self) -> Result<(), SettingError> {
+        between("lease.ttl_secs", self.ttl_secs, 0.1, 3600.0)
     }
 }
 
@@ -112,9 +102,9 @@ pub struct CheckpointConfig {
 }
 
 impl CheckpointConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        within("checkpoint.every", self.every, 1, u64::MAX)?;
-        within("checkpoint.keep_last", self.keep_last as u64, 1, 1_000_000)
+    fn validate(&self) -> Result<(), SettingError> {
+        within("checkpoint.every", self.every, 1.., "at least 1")?;
+        between("checkpoint.keep_last", self.keep_last, 1, 1_000_000)
     }
 }
 
@@ -130,51 +120,21 @@ pub struct ThreadsConfig {
     pub other_builds: bool,
 }
 
-/// A setting outside its range.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{key} = {found} is out of range: {range}")]
-pub struct ConfigError {
-    /// The key as it stands in the configuration file.
-    pub key: &'static str,
-    /// The value found.
-    pub found: String,
-    /// What is allowed.
-    pub range: String,
-}
-
 impl Config {
     /// Refuses values outside their ranges.
     ///
     /// # Errors
     /// Names the first key that is wrong and its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
+    pub fn validate(&self) -> Result<(), SettingError> {
         self.environments.validate()?;
         self.lease.validate()?;
         self.audit.validate()?;
         if self.evaluation.every_steps > 0 {
-            within("evaluation.episodes", self.evaluation.episodes.into(), 1, 10_000)?;
+            between("evaluation.episodes", self.evaluation.episodes, 1, 10_000)?;
         }
         self.checkpoint.validate()?;
-        within("learner.threads", self.learner.threads as u64, 0, 1024)?;
-        within("learner.connections", self.learner.connections as u64, 1, 65_536)
-    }
-
-    /// Refuses slots and messages that split a window of backpropagation of `policy`.
-    ///
-    /// # Errors
-    /// Names the first key that does not fit and its range.
-    pub fn suits(&self, policy: &PolicyConfig) -> Result<(), ConfigError> {
-        let (window, environments) = (policy.backpropagation_steps, &self.environments);
-        for (key, steps) in [
-            ("environments.steps", environments.steps),
-            ("environments.message_steps", environments.message_steps),
-        ] {
-            if !steps.is_multiple_of(window) {
-                let range = format!("a multiple of policy.backpropagation_steps = {window}");
-                return Err(ConfigError { key, found: steps.to_string(), range });
-            }
-        }
-        Ok(())
+        between("learner.threads", self.learner.threads, 0, 1024)?;
+        between("learner.connections", self.learner.connections, 1, 65_536)
     }
 }
 
@@ -209,19 +169,17 @@ impl EnvironmentsConfig {
         self.count as u64 * self.steps as u64
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        within("environments.count", self.count as u64, 1, 1_000_000)?;
-        within("environments.steps", self.steps as u64, 1, 1_000_000)?;
-        within("environments.per_slot", self.per_slot as u64, 0, self.count as u64)?;
-        if !(1..=self.steps).contains(&self.message_steps) {
-            let range = format!("1 to environments.steps = {}", self.steps);
-            let (key, found) = ("environments.message_steps", self.message_steps.to_string());
-            return Err(ConfigError { key, found, range });
-        }
+    fn validate(&self) -> Result<(), SettingError> {
+        between("environments.count", self.count, 1, 1_000_000)?;
+        between("environments.steps", self.steps, 1, 1_000_000)?;
+        between("environments.per_slot", self.per_slot, 0, self.count)?;
+        let message = "environments.message_steps";
+        let range = format!("1 to environments.steps = {}", self.steps);
+        within(message, self.message_steps, 1..=self.steps, &range)?;
         if self.per_slot > 0 {
-            divides("environments.per_slot", self.per_slot, "environments.count", self.count)?;
+            divisor("environments.per_slot", self.per_slot, "environments.count", self.count)?;
         }
-        divides("environments.message_steps", self.message_steps, "environments.steps", self.steps)
+        divisor(message, self.message_steps, "environments.steps", self.steps)
     }
 }
 
@@ -238,30 +196,6 @@ pub fn slot_size(environments: usize, threads: usize, per_slot: usize) -> usize 
         threads => (environments / threads.saturating_mul(SLOTS_PER_THREAD)).min(MOST_PER_SLOT),
     };
     (1..=most).rev().find(|size| environments.is_multiple_of(*size)).unwrap_or(1)
-}
-
-fn within(key: &'static str, value: u64, low: u64, high: u64) -> Result<(), ConfigError> {
-    if (low..=high).contains(&value) {
-        return Ok(());
-    }
-    let range = match high {
-        u64::MAX => format!("at least {low}"),
-        _ => format!("{low} to {high}"),
-    };
-    Err(ConfigError { key, found: value.to_string(), range })
-}
-
-fn divides(
-    key: &'static str,
-    part: usize,
-    whole_key: &'static str,
-    whole: usize,
-) -> Result<(), ConfigError> {
-    if whole.is_multiple_of(part) {
-        return Ok(());
-    }
-    let range = format!("a divisor of {whole_key} = {whole}");
-    Err(ConfigError { key, found: part.to_string(), range })
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::config::ConfigError;
 use crate::lease::exchange::ExchangeError;
 use crate::store::checkpoint::CheckpointError;
 use crate::store::durable::FileError;
@@ -11,12 +10,6 @@ use crate::store::run_folder::RunFolderError;
 /// Why a run could not start, continue or end.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
-    /// A setting is outside its range.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The policy's settings are wrong.
-    #[error("policy settings: {0}")]
-    PolicyConfig(#[source] policy::config::ConfigError),
     /// The sizes contradict each other, or would not fit a message.
     #[error("the run cannot be described to actors; the field of the message is {0}")]
     Description(#[source] proto::Refusal),

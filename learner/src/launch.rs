@@ -63,18 +63,11 @@ pub struct Launch {
 }
 
 impl Launch {
-    /// Checks the settings and the environment; touches no file.
+    /// Checks that the run can be described to actors; touches no file. The settings have been checked.
     ///
     /// # Errors
-    /// Names a setting out of range, or one that does not suit the environment.
+    /// Names the field of the description that is invalid, such as a message that is too large.
     pub fn validate(&self) -> Result<(), LearnerError> {
-        self.config.validate()?;
-        self.policy.validate().map_err(LearnerError::PolicyConfig)?;
-        self.training.validate()?;
-        self.training.suits(&self.policy)?;
-        self.training.suits_observations(self.observations)?;
-        self.training.suits_agents(&problem(&self.environment))?;
-        self.config.suits(&self.policy)?;
         self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
     }
 
@@ -138,8 +131,7 @@ impl Launch {
 /// Claims the run folder and builds the trainer; nothing is overwritten unless everything fits.
 ///
 /// # Errors
-/// Names a setting out of range, a folder that is taken, in use or of another run, and a checkpoint
-/// that does not fit.
+/// Names a folder that is taken, in use or of another run, and a checkpoint that does not fit.
 pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError> {
     launch.validate()?;
     let folder = claim(&launch)?;

@@ -4,24 +4,17 @@ mod influence;
 mod maddpg;
 mod surprise;
 
-use policy::{CoreKind, InputNorm, PolicyConfig};
+use policy::InputNorm;
+use policy::setting::{SettingError, count, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
 
 pub use self::influence::{Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{DensityKind, SurpriseConfig};
-use crate::data::batch::{ActionKind, Problem};
-use crate::data::observation::ObservationScale;
-use crate::error::MarlError;
 use crate::optimisation::learning_rate::LearningRateDecay;
 
-/// Why MADDPG rejects running statistics.
-const STALE_STATISTICS: &str = "feature_z or none with update.rule = maddpg: running statistics \
-                                would differ from those of the replay";
-
-/// All settings of a learning rule.
+/// All settings of a learning rule, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Config {
     /// The policy update.
     pub update: UpdateConfig,
@@ -142,39 +135,17 @@ pub enum StateNorm {
     Running,
 }
 
-impl StateNorm {
-    /// Value in the configuration.
-    fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::FeatureZ => "feature_z",
-            Self::Running => "running",
-        }
-    }
-}
-
 impl Config {
-    /// Rejects values outside their ranges.
+    /// Rejects values outside their ranges. How values fit together is the caller's to check.
     ///
     /// # Errors
     /// Names the first invalid key and its range.
-    pub fn validate(&self) -> Result<(), MarlError> {
+    pub fn validate(&self) -> Result<(), SettingError> {
         self.update.validate()?;
         self.critic.validate()?;
         self.surprise.validate()?;
         self.influence.validate()?;
-        self.maddpg.validate()?;
-        let both_shared = (Sharing::Shared, QTraining::Shared);
-        if (self.update.parameters, self.influence.q_training) == both_shared
-            && self.influence.lambda > 0.0
-        {
-            let range = "mle with update.parameters = shared: a trunk has one second head";
-            return Err(out_of_range("influence.q_training", "shared", range));
-        }
-        match self.update.rule {
-            Rule::Maddpg => self.check_for_maddpg(),
-            Rule::Happo | Rule::Mappo => Ok(()),
-        }
+        self.maddpg.validate()
     }
 
     /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the
@@ -186,77 +157,10 @@ impl Config {
             Rule::Maddpg => self.maddpg.batch as f64 * self.maddpg.updates_per_step,
         }
     }
-
-    /// Rejects actor networks that the rule cannot train.
-    ///
-    /// # Errors
-    /// Names the unsuitable key.
-    pub fn suits(&self, policy: &PolicyConfig) -> Result<(), MarlError> {
-        if self.update.rule == Rule::Maddpg && policy.core == CoreKind::Gru {
-            let range = "mlp with update.rule = maddpg: the replay holds single steps, no \
-                         recurrent states";
-            return Err(out_of_range("policy.core", "gru", range));
-        }
-        Ok(())
-    }
-
-    /// Rejects a scaling of observations that the rule does not support.
-    ///
-    /// # Errors
-    /// Names the unsuitable key.
-    pub fn suits_observations(&self, scale: ObservationScale) -> Result<(), MarlError> {
-        match (self.update.rule, scale) {
-            (Rule::Maddpg, ObservationScale::Running) => {
-                Err(out_of_range("observation.norm", "running", STALE_STATISTICS))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Rejects settings that are not defined for actions of this kind.
-    ///
-    /// # Errors
-    /// Names the unsuitable key.
-    pub fn suits_actions(&self, kind: ActionKind) -> Result<(), MarlError> {
-        match kind {
-            ActionKind::Continuous => self.influence.check_for_numbers(),
-            ActionKind::Discrete { .. } if self.update.rule == Rule::Maddpg => Err(out_of_range(
-                "update.rule",
-                "maddpg",
-                "happo or mappo for a task with discrete actions",
-            )),
-            ActionKind::Discrete { .. } => self.influence.check_for_choices(),
-        }
-    }
-
-    /// Rejects agents of different sizes with shared parameters, and settings that are not defined for the agents'
-    /// actions.
-    ///
-    /// # Errors
-    /// Names the first agent whose sizes differ from agent 0's, or the unsuitable key.
-    pub fn suits_agents(&self, problem: &Problem) -> Result<(), MarlError> {
-        problem.agents.iter().try_for_each(|agent| self.suits_actions(agent.kind))?;
-        let sizes = |index: usize| {
-            let agent = &problem.agents[index];
-            (agent.observation, agent.action)
-        };
-        let odd = (0..problem.agents.len()).find(|&index| sizes(index) != sizes(0));
-        match (self.update.parameters, odd) {
-            (Sharing::Shared, Some(other)) => {
-                let (first, second) = (sizes(0), sizes(other));
-                Err(MarlError::Unequal { first, other, second })
-            }
-            _ => Ok(()),
-        }
-    }
 }
 
 impl UpdateConfig {
-    fn validate(&self) -> Result<(), MarlError> {
-        if self.rule == Rule::Maddpg && self.parameters == Sharing::Shared {
-            let range = "separate with update.rule = maddpg";
-            return Err(out_of_range("update.parameters", "shared", range));
-        }
+    fn validate(&self) -> Result<(), SettingError> {
         within("update.gamma", self.gamma, 0.0..1.0, "0 <= gamma < 1")?;
         within("update.gae_lambda", self.gae_lambda, 0.0..=1.0, "0 <= gae_lambda <= 1")?;
         positive("update.learning_rate", self.learning_rate)?;
@@ -271,7 +175,7 @@ impl UpdateConfig {
 }
 
 impl CriticConfig {
-    fn validate(&self) -> Result<(), MarlError> {
+    fn validate(&self) -> Result<(), SettingError> {
         count("critic.layers", self.layers)?;
         count("critic.width", self.width)?;
         positive("critic.learning_rate", self.learning_rate)?;
@@ -282,29 +186,4 @@ impl CriticConfig {
         within("critic.normalizer_beta", self.normalizer_beta, 0.0..1.0, "0 <= beta < 1")?;
         positive("critic.max_gradient_norm", self.max_gradient_norm)
     }
-}
-
-fn out_of_range(key: &'static str, found: impl ToString, range: &'static str) -> MarlError {
-    MarlError::Config { key, found: found.to_string(), range }
-}
-
-fn within(
-    key: &'static str,
-    value: f64,
-    allowed: impl std::ops::RangeBounds<f64>,
-    range: &'static str,
-) -> Result<(), MarlError> {
-    if allowed.contains(&value) { Ok(()) } else { Err(out_of_range(key, value, range)) }
-}
-
-fn positive(key: &'static str, value: f64) -> Result<(), MarlError> {
-    within(key, value, f64::MIN_POSITIVE..f64::INFINITY, "a finite number above 0")
-}
-
-fn not_negative(key: &'static str, value: f64) -> Result<(), MarlError> {
-    within(key, value, 0.0..f64::INFINITY, "a finite number of at least 0")
-}
-
-fn count(key: &'static str, value: usize) -> Result<(), MarlError> {
-    if value > 0 { Ok(()) } else { Err(out_of_range(key, value, "at least 1")) }
 }

@@ -1,32 +1,8 @@
 //! Errors of this crate's public functions.
 
-/// An invalid batch, configuration or stored state, or a failed computation.
+/// An invalid batch or stored state, or a failed computation.
 #[derive(Debug, thiserror::Error)]
 pub enum MarlError {
-    /// A configuration value is outside its range.
-    #[error("{key} = {found} is out of range: {range}")]
-    Config {
-        /// The key in the configuration file.
-        key: &'static str,
-        /// The value.
-        found: String,
-        /// The valid range.
-        range: &'static str,
-    },
-    /// Agents with shared parameters have different sizes.
-    #[error(
-        "update.parameters = shared needs agents of equal sizes: agent 0 has {} observation \
-         features and {} action dimensions, agent {other} has {} and {}; use separate",
-        first.0, first.1, second.0, second.1
-    )]
-    Unequal {
-        /// Observation features and action dimensions of agent 0.
-        first: (usize, usize),
-        /// Index of the agent that differs.
-        other: usize,
-        /// Observation features and action dimensions of that agent.
-        second: (usize, usize),
-    },
     /// An array of the batch has a length that does not match its shape.
     #[error("batch.{field} has {found} numbers; its shape {shape} needs {expected}")]
     Shape {

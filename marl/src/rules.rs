@@ -20,15 +20,13 @@ use on_policy::OnPolicy;
 /// The configured learning rule, with weights initialised by `seed`.
 ///
 /// # Errors
-/// If the settings are inconsistent with each other or with the problem, or if a tensor operation fails.
+/// If a tensor operation fails.
 pub fn build(
     config: &Config,
     policy: &PolicyConfig,
     problem: &Problem,
     seed: RunSeed,
 ) -> Result<Box<dyn Algorithm>, MarlError> {
-    config.suits(policy)?;
-    config.suits_agents(problem)?;
     match config.update.rule {
         Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, seed)?)),
         Rule::Mappo => Ok(Box::new(OnPolicy::new(Mappo, config, policy, problem, seed)?)),

@@ -1,7 +1,10 @@
 //! Settings of the actor networks.
 
+use std::ops::Bound;
+
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
+
+use crate::setting::{SettingError, between, within};
 
 /// Kind of actor network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,57 +55,30 @@ pub struct PolicyConfig {
     pub head_gain: f32,
 }
 
-/// A value outside its range.
-#[derive(Clone, Debug, PartialEq, Error)]
-#[error("{key} is {found}, expected {expected}")]
-pub struct ConfigError {
-    /// Key in the run's configuration.
-    pub key: &'static str,
-    /// Value found.
-    pub found: String,
-    /// Values allowed.
-    pub expected: &'static str,
-}
-
 impl PolicyConfig {
     /// Checks every value.
     ///
     /// # Errors
     /// Names the first key with a value out of range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let size = |size: usize| (size.to_string(), (1..=4096).contains(&size));
-        let count = |count: usize, most: usize| (count.to_string(), (1..=most).contains(&count));
-        let real = |x: f32, from: f32, to: f32| (x.to_string(), x > from && x <= to);
-        let floor = self.sigma_floor;
-        let is_below_start = floor > 0.0 && f64::from(floor) < INITIAL_SIGMA;
-        let scale = self.sigma_scale;
-        let is_above_start = f64::from(scale) > INITIAL_SIGMA && scale <= 10.0;
-        let checks = [
-            ("policy.encoder", size(self.encoder), "1 to 4096"),
-            ("policy.hidden", size(self.hidden), "1 to 4096"),
-            ("policy.width", size(self.width), "1 to 4096"),
-            ("policy.layers", count(self.layers, 16), "1 to 16"),
-            (
-                "policy.backpropagation_steps",
-                count(self.backpropagation_steps, 10_000),
-                "1 to 10000",
-            ),
-            (
-                "policy.sigma_scale",
-                (scale.to_string(), is_above_start),
-                "above the initial sigma of 0.36552929, at most 10",
-            ),
-            (
-                "policy.sigma_floor",
-                (floor.to_string(), is_below_start),
-                "above 0 and below the initial sigma of 0.36552929",
-            ),
-            ("policy.head_gain", real(self.head_gain, 0.0, 10.0), "above 0, at most 10"),
-        ];
-        match checks.into_iter().find(|(_, (_, holds), _)| !holds) {
-            Some((key, (found, _), expected)) => Err(ConfigError { key, found, expected }),
-            None => Ok(()),
+    pub fn validate(&self) -> Result<(), SettingError> {
+        for (key, size) in [
+            ("policy.encoder", self.encoder),
+            ("policy.hidden", self.hidden),
+            ("policy.width", self.width),
+        ] {
+            between(key, size, 1, 4096)?;
         }
+        between("policy.layers", self.layers, 1, 16)?;
+        between("policy.backpropagation_steps", self.backpropagation_steps, 1, 10_000)?;
+        let scale = f64::from(self.sigma_scale);
+        let above = (Bound::Excluded(INITIAL_SIGMA), Bound::Included(10.0));
+        let range = format!("above the initial sigma of {INITIAL_SIGMA}, at most 10");
+        within("policy.sigma_scale", scale, above, &range)?;
+        let floor = f64::from(self.sigma_floor);
+        let range = format!("above 0 and below the initial sigma of {INITIAL_SIGMA}");
+        within("policy.sigma_floor", floor, f64::MIN_POSITIVE..INITIAL_SIGMA, &range)?;
+        let gains = f32::MIN_POSITIVE..=10.0;
+        within("policy.head_gain", self.head_gain, gains, "above 0, at most 10")
     }
 
     /// Initial value of the parameter `log_std`, where `sigma = sigmoid(log_std) * sigma_scale`.
@@ -142,13 +118,15 @@ mod tests {
     }
 
     #[test]
-    fn an_error_names_the_key_the_value_and_the_allowed_range() {
+    fn a_value_out_of_range_is_refused_by_its_key() {
         assert_eq!(valid().validate(), Ok(()));
-        let error = PolicyConfig { hidden: 0, ..valid() }.validate().expect_err("no units");
-        assert_eq!(error.to_string(), "policy.hidden is 0, expected 1 to 4096");
-        let error = PolicyConfig { sigma_floor: 0.5, ..valid() }.validate().expect_err("too high");
-        assert_eq!(error.key, "policy.sigma_floor");
-        assert!(PolicyConfig { sigma_scale: f32::NAN, ..valid() }.validate().is_err());
+        for (key, changed) in [
+            ("policy.hidden", PolicyConfig { hidden: 0, ..valid() }),
+            ("policy.layers", PolicyConfig { layers: 17, ..valid() }),
+            ("policy.sigma_scale", PolicyConfig { sigma_scale: f32::NAN, ..valid() }),
+        ] {
+            assert_eq!(changed.validate().expect_err("refused").key, key);
+        }
     }
 
     #[test]

@@ -18,6 +18,7 @@ pub mod ops;
 pub mod parameters;
 pub mod probe;
 pub mod randomness;
+pub mod setting;
 pub mod snapshot;
 pub mod standardisation;
 
@@ -32,5 +33,6 @@ pub use network::{ActorNetwork, SequenceInput, project_sigma};
 pub use parameters::Parameters;
 pub use probe::probe;
 pub use randomness::{Draw, Key, Purpose, RunSeed, generator, standard_normal};
+pub use setting::SettingError;
 pub use snapshot::{PolicySnapshot, digest};
 pub use standardisation::Standardisation;

@@ -86,9 +86,7 @@ fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
     if !takes_settings {
         return None;
     }
-    let defaults = layers::defaults();
-    let known = defaults.entries.keys().map(String::as_str);
-    let meant = keys::spelled(flag.trim_start_matches('-'), known);
+    let meant = layers::spelled(flag.trim_start_matches('-'));
     let meant: Vec<String> = meant.iter().map(|key| format!("{key}=VALUE")).collect();
     Some(if meant.is_empty() {
         "a setting is written key.path=value, such as run.seed=7".to_owned()

@@ -1,11 +1,17 @@
-//! What each setting needs for an effect in a run.
+//! Conditions on the settings and the environment of a run.
 
+use std::cell::OnceCell;
 use std::fmt;
 
-use Condition::{Above0, Environment, Filled, Is, Not, Zero};
-use Property::{Contacts, Continuous, Robot, Several};
+use proto::{AgentSpec, EnvironmentSpec};
+use sim::{ContactForces, ObservationMode, ObservationNorm, TaskConfig};
+use toml::Value;
 
-/// What a setting needs for an effect.
+use super::keys::URL;
+use super::resolved::Resolved;
+use super::run_config::RunConfig;
+
+/// A condition on a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Condition {
     /// This setting has one of these values.
@@ -18,7 +24,7 @@ pub(super) enum Condition {
     Zero(&'static str),
     /// This text is not empty.
     Filled(&'static str),
-    /// The environment is such.
+    /// The environment has this property.
     Environment(Property),
 }
 
@@ -29,11 +35,22 @@ pub(super) enum Property {
     Robot,
     /// A robot whose task supports contact forces.
     Contacts,
-    /// Agents with continuous actions.
+    /// An agent with continuous actions.
     Continuous,
+    /// An agent with discrete actions.
+    Discrete,
     /// Several agents.
     Several,
 }
+
+/// Rules that update policies from the newest rollout only.
+pub(super) const ON_POLICY: Condition = Condition::Is("update.rule", &["happo", "mappo"]);
+/// The off-policy rule.
+pub(super) const MADDPG: Condition = Condition::Is("update.rule", &["maddpg"]);
+/// The surprise term is on.
+pub(super) const SURPRISE: Condition = Condition::Above0("surprise.alpha");
+/// The influence term is on.
+pub(super) const INFLUENCE: Condition = Condition::Above0("influence.lambda");
 
 impl Condition {
     /// The setting on whose value it depends; `None` if it depends on the environment.
@@ -45,6 +62,24 @@ impl Condition {
             | Self::Zero(key)
             | Self::Filled(key) => Some(key),
             Self::Environment(_) => None,
+        }
+    }
+
+    /// Whether it holds; `None` if the environment is not known.
+    pub(super) fn holds(self, run: &Run<'_>) -> Option<bool> {
+        let resolved = run.resolved;
+        let number = |key| match resolved.entries.get(key).map(|entry| &entry.value) {
+            Some(Value::Integer(number)) => *number as f64,
+            Some(Value::Float(number)) => *number,
+            _ => 0.0,
+        };
+        match self {
+            Self::Is(key, values) => Some(values.contains(&resolved.text(key))),
+            Self::Not(key, value) => Some(resolved.text(key) != value),
+            Self::Above0(key) => Some(number(key) > 0.0),
+            Self::Zero(key) => Some(number(key) == 0.0),
+            Self::Filled(key) => Some(!resolved.text(key).is_empty()),
+            Self::Environment(property) => run.has(property),
         }
     }
 }
@@ -62,91 +97,84 @@ impl fmt::Display for Condition {
                 Property::Robot => "a robot of the simulator",
                 Property::Contacts => "a robot whose task supports contact forces, such as ant-4x2",
                 Property::Continuous => "continuous actions",
+                Property::Discrete => "discrete actions",
                 Property::Several => "several agents",
             }),
         }
     }
 }
 
-/// Rules that update policies from the newest rollout only.
-const ON_POLICY: Condition = Is("update.rule", &["happo", "mappo"]);
-const MADDPG: Condition = Is("update.rule", &["maddpg"]);
-const GRU: Condition = Is("policy.core", &["gru"]);
-const MLP: Condition = Is("policy.core", &["mlp"]);
-const SURPRISE: Condition = Above0("surprise.alpha");
-const INFLUENCE: Condition = Above0("influence.lambda");
-/// The estimator with a posterior that is trained.
-const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
-const MLE: Condition = Is("influence.q_training", &["mle"]);
+/// The settings of a run and what is known of its environment.
+pub(super) struct Run<'a> {
+    /// All settings.
+    pub(super) resolved: &'a Resolved,
+    task: &'a TaskConfig,
+    /// The environment, once it is known.
+    offered: Option<&'a EnvironmentSpec>,
+    /// The simulator's environment, and whether it is a robot; `None` if it cannot be built.
+    simulated: OnceCell<Option<(EnvironmentSpec, bool)>>,
+}
 
-/// The conditions of one alternative must all hold, and one alternative is enough.
-type Alternatives = &'static [&'static [Condition]];
+impl<'a> Run<'a> {
+    /// The run of `config` in the environment `offered`, or in one that is not known yet.
+    pub(super) fn of(config: &'a RunConfig, offered: Option<&'a EnvironmentSpec>) -> Self {
+        Self { resolved: &config.resolved, task: &config.task, offered, simulated: OnceCell::new() }
+    }
 
-/// Every setting that can be without an effect.
-pub(super) const TABLE: &[(&[&str], Alternatives)] = &[
-    (&["run.env_steps"], &[&[Zero("run.iterations")]]),
-    (&["task_file.text"], &[&[Filled("task_file.model")]]),
-    (&["task_file.model"], &[&[Filled("task_file.text")]]),
-    (&["environment_service.description"], &[&[Filled("environment_service.url")]]),
-    (&["observation.mode"], &[&[Environment(Robot)]]),
-    (
-        &["observation.nearest", "observation.globals"],
-        &[&[Environment(Robot), Is("observation.mode", &["k_nearest"])]],
-    ),
-    (&["observation.contact_forces"], &[&[Environment(Contacts)]]),
-    (&["policy.encoder", "policy.hidden"], &[&[GRU]]),
-    (&["policy.width", "policy.layers"], &[&[MLP]]),
-    (&["policy.sigma_scale", "policy.sigma_floor"], &[&[ON_POLICY, Environment(Continuous)]]),
-    (&["update.parameters"], &[&[Environment(Several)]]),
-    (
-        &[
-            "update.gae_lambda",
-            "update.clip",
-            "update.epochs",
-            "update.minibatches",
-            "update.entropy",
-            "update.desired_kl",
-            "critic.input_norm",
-            "critic.epochs",
-            "critic.minibatches",
-            "critic.clip",
-            "critic.huber_delta",
-            "critic.normalizer_beta",
-        ],
-        &[&[ON_POLICY]],
-    ),
-    (&["surprise.density"], &[&[SURPRISE]]),
-    (&["influence.lambda"], &[&[Environment(Several)]]),
-    (
-        &["influence.estimator", "influence.q_training", "influence.lag", "influence.kappa"],
-        &[&[INFLUENCE, Environment(Several)]],
-    ),
-    (&["influence.encoder", "influence.hidden"], &[&[INFLUENCE, LEARNT, Environment(Several)]]),
-    (
-        &["influence.posterior_sigma_floor"],
-        &[&[INFLUENCE, LEARNT, Environment(Several), Environment(Continuous)]],
-    ),
-    (
-        &[
-            "influence.epochs",
-            "influence.learning_rate",
-            "influence.minibatches",
-            "influence.holdout_every",
-        ],
-        &[&[INFLUENCE, LEARNT, MLE, Environment(Several)]],
-    ),
-    (
-        &[
-            "maddpg.replay",
-            "maddpg.batch",
-            "maddpg.n_step",
-            "maddpg.warm_up",
-            "maddpg.updates_per_step",
-            "maddpg.noise",
-            "maddpg.polyak",
-        ],
-        &[&[MADDPG]],
-    ),
-    (&["evaluation.episodes", "evaluation.sampled"], &[&[Above0("evaluation.every_steps")]]),
-    (&["log.max_file_mib"], &[&[Not("log.episodes", "none")]]),
-];
+    /// Whether the environment has the property. `None` if the environment is not known yet or cannot be built, which has its
+    /// own error.
+    fn has(&self, property: Property) -> Option<bool> {
+        let is_outside = !self.resolved.text(URL).is_empty();
+        match property {
+            Property::Robot | Property::Contacts if is_outside => Some(false),
+            Property::Robot => self.simulated().map(|(_, is_robot)| *is_robot),
+            Property::Contacts => {
+                Some(self.changes(|task| task.observation.contact_forces = ContactForces::Zeros))
+            }
+            Property::Continuous => self.any_agent(|agent| agent.action.choices.is_none()),
+            Property::Discrete => self.any_agent(|agent| agent.action.choices.is_some()),
+            Property::Several => self.environment().map(|spec| spec.agents.len() > 1),
+        }
+    }
+
+    fn any_agent(&self, is_such: impl Fn(&AgentSpec) -> bool) -> Option<bool> {
+        Some(self.environment()?.agents.iter().any(is_such))
+    }
+
+    /// The environment, if it is known.
+    fn environment(&self) -> Option<&EnvironmentSpec> {
+        match self.offered {
+            Some(spec) => Some(spec),
+            None if !self.resolved.text(URL).is_empty() => None,
+            None => self.simulated().map(|(spec, _)| spec),
+        }
+    }
+
+    /// Whether the simulator's environment is another one after `change`.
+    fn changes(&self, change: impl Fn(&mut TaskConfig)) -> bool {
+        let plain = self.plain();
+        let mut changed = plain.clone();
+        change(&mut changed);
+        let described = |task: &TaskConfig| {
+            sim::environments(task, 1).map(|world| world.description().clone()).ok()
+        };
+        described(&plain) != described(&changed)
+    }
+
+    fn simulated(&self) -> Option<&(EnvironmentSpec, bool)> {
+        let built = || {
+            let world = sim::environments(&self.plain(), 1).ok()?;
+            Some((world.description().clone(), world.robot().is_some()))
+        };
+        self.simulated.get_or_init(built).as_ref()
+    }
+
+    /// The task with observations that every task supports.
+    fn plain(&self) -> TaskConfig {
+        let mut task = self.task.clone();
+        task.observation.mode = ObservationMode::FullId;
+        task.observation.norm = ObservationNorm::None;
+        task.observation.contact_forces = ContactForces::Absent;
+        task
+    }
+}

@@ -1,115 +1,102 @@
 //! Which settings have an effect in a run. A setting that the user gives and that has none is refused: a sweep over it would
 //! be flat.
 
-use std::cell::OnceCell;
 use std::fmt;
 
-use proto::EnvironmentSpec;
-use sim::{ContactForces, ObservationMode, ObservationNorm, TaskConfig};
+use Condition::{Above0, Environment, Filled, Is, Not, Zero};
+use Property::{Contacts, Continuous, Robot, Several};
 
-use super::conditions::{Condition, Property, TABLE};
+use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, Run, SURPRISE};
 use super::error::ConfigError;
-use super::keys::URL;
 use super::resolved::Resolved;
 use super::run_config::RunConfig;
-use super::scalar::Scalar;
 
-impl Condition {
-    fn holds(self, run: &Run<'_>) -> bool {
-        let resolved = run.resolved;
-        let number = |key| match resolved.entries.get(key).map(|entry| &entry.value) {
-            Some(Scalar::Integer(number)) => *number as f64,
-            Some(Scalar::Float(number)) => *number,
-            _ => 0.0,
-        };
-        match self {
-            Self::Is(key, values) => values.contains(&resolved.text(key)),
-            Self::Not(key, value) => resolved.text(key) != value,
-            Self::Above0(key) => number(key) > 0.0,
-            Self::Zero(key) => number(key) == 0.0,
-            Self::Filled(key) => !resolved.text(key).is_empty(),
-            Self::Environment(property) => run.has(property),
-        }
-    }
-}
+const GRU: Condition = Is("policy.core", &["gru"]);
+const MLP: Condition = Is("policy.core", &["mlp"]);
+/// The estimator with a posterior that is trained.
+const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
+const MLE: Condition = Is("influence.q_training", &["mle"]);
 
-/// The settings of a run and what is known of its environment.
-struct Run<'a> {
-    resolved: &'a Resolved,
-    task: &'a TaskConfig,
-    /// The environment from outside, once it is known.
-    offered: Option<&'a EnvironmentSpec>,
-    /// The simulator's environment, and whether it is a robot; `None` if it cannot be built.
-    simulated: OnceCell<Option<(EnvironmentSpec, bool)>>,
-}
+/// The conditions of one alternative must all hold, and one alternative is enough.
+type Alternatives = &'static [&'static [Condition]];
 
-impl<'a> Run<'a> {
-    fn of(config: &'a RunConfig, offered: Option<&'a EnvironmentSpec>) -> Self {
-        Self { resolved: &config.resolved, task: &config.task, offered, simulated: OnceCell::new() }
-    }
+/// Every setting that can be without an effect.
+const TABLE: &[(&[&str], Alternatives)] = &[
+    (&["run.env_steps"], &[&[Zero("run.iterations")]]),
+    (&["task_file.text"], &[&[Filled("task_file.model")]]),
+    (&["task_file.model"], &[&[Filled("task_file.text")]]),
+    (&["environment_service.description"], &[&[Filled("environment_service.url")]]),
+    (&["observation.mode"], &[&[Environment(Robot)]]),
+    (
+        &["observation.nearest", "observation.globals"],
+        &[&[Environment(Robot), Is("observation.mode", &["k_nearest"])]],
+    ),
+    (&["observation.contact_forces"], &[&[Environment(Contacts)]]),
+    (&["policy.encoder", "policy.hidden"], &[&[GRU]]),
+    (&["policy.width", "policy.layers"], &[&[MLP]]),
+    (&["policy.sigma_scale", "policy.sigma_floor"], &[&[ON_POLICY, Environment(Continuous)]]),
+    (&["update.parameters"], &[&[Environment(Several)]]),
+    (
+        &[
+            "update.gae_lambda",
+            "update.clip",
+            "update.epochs",
+            "update.minibatches",
+            "update.entropy",
+            "update.desired_kl",
+            "critic.input_norm",
+            "critic.epochs",
+            "critic.minibatches",
+            "critic.clip",
+            "critic.huber_delta",
+            "critic.normalizer_beta",
+        ],
+        &[&[ON_POLICY]],
+    ),
+    (&["surprise.density"], &[&[SURPRISE]]),
+    (&["influence.lambda"], &[&[Environment(Several)]]),
+    (
+        &["influence.estimator", "influence.q_training", "influence.lag", "influence.kappa"],
+        &[&[INFLUENCE, Environment(Several)]],
+    ),
+    (&["influence.encoder", "influence.hidden"], &[&[INFLUENCE, LEARNT, Environment(Several)]]),
+    (
+        &["influence.posterior_sigma_floor"],
+        &[&[INFLUENCE, LEARNT, Environment(Several), Environment(Continuous)]],
+    ),
+    (
+        &[
+            "influence.epochs",
+            "influence.learning_rate",
+            "influence.minibatches",
+            "influence.holdout_every",
+        ],
+        &[&[INFLUENCE, LEARNT, MLE, Environment(Several)]],
+    ),
+    (
+        &[
+            "maddpg.replay",
+            "maddpg.batch",
+            "maddpg.n_step",
+            "maddpg.warm_up",
+            "maddpg.updates_per_step",
+            "maddpg.noise",
+            "maddpg.polyak",
+        ],
+        &[&[MADDPG]],
+    ),
+    (&["evaluation.episodes", "evaluation.sampled"], &[&[Above0("evaluation.every_steps")]]),
+    (&["log.max_file_mib"], &[&[Not("log.episodes", "none")]]),
+];
 
-    /// Whether the environment is such. What is not known yet is taken to hold, and so is everything about a task that cannot be
-    /// built, which has its own error.
-    fn has(&self, property: Property) -> bool {
-        let is_outside = !self.resolved.text(URL).is_empty();
-        match property {
-            Property::Robot | Property::Contacts if is_outside => false,
-            Property::Robot => self.simulated().is_none_or(|(_, is_robot)| *is_robot),
-            Property::Contacts => {
-                self.changes(|task| task.observation.contact_forces = ContactForces::Zeros)
-            }
-            Property::Continuous => self
-                .environment(|spec| spec.agents.iter().any(|agent| agent.action.choices.is_none())),
-            Property::Several => self.environment(|spec| spec.agents.len() > 1),
-        }
-    }
-
-    /// Whether the environment is such, if it is known.
-    fn environment(&self, is_such: impl Fn(&EnvironmentSpec) -> bool) -> bool {
-        match self.offered {
-            Some(spec) => is_such(spec),
-            None if !self.resolved.text(URL).is_empty() => true,
-            None => self.simulated().is_none_or(|(spec, _)| is_such(spec)),
-        }
-    }
-
-    /// Whether the simulator's environment is another one after `change`.
-    fn changes(&self, change: impl Fn(&mut TaskConfig)) -> bool {
-        let plain = self.plain();
-        let mut changed = plain.clone();
-        change(&mut changed);
-        let described = |task: &TaskConfig| {
-            sim::environments(task, 1).map(|world| world.description().clone()).ok()
-        };
-        described(&plain) != described(&changed)
-    }
-
-    fn simulated(&self) -> Option<&(EnvironmentSpec, bool)> {
-        let built = || {
-            let world = sim::environments(&self.plain(), 1).ok()?;
-            Some((world.description().clone(), world.robot().is_some()))
-        };
-        self.simulated.get_or_init(built).as_ref()
-    }
-
-    /// The task with observations that every task supports.
-    fn plain(&self) -> TaskConfig {
-        let mut task = self.task.clone();
-        task.observation.mode = ObservationMode::FullId;
-        task.observation.norm = ObservationNorm::None;
-        task.observation.contact_forces = ContactForces::Absent;
-        task
-    }
-
-    /// What `key` lacks for an effect: `None` if it has one.
-    fn missing(&self, key: &str) -> Option<Missing> {
-        let (_, alternatives) = TABLE.iter().find(|(keys, _)| keys.contains(&key))?;
-        let failing = |all: &&[Condition]| -> Vec<Condition> {
-            all.iter().copied().filter(|condition| !condition.holds(self)).collect()
-        };
-        let failing: Vec<Vec<Condition>> = alternatives.iter().map(failing).collect();
-        (!failing.iter().any(Vec::is_empty)).then_some(Missing(failing))
-    }
+/// What `key` lacks for an effect: `None` if it has one. What is not known of the environment is assumed to hold.
+fn missing(run: &Run<'_>, key: &str) -> Option<Missing> {
+    let (_, alternatives) = TABLE.iter().find(|(keys, _)| keys.contains(&key))?;
+    let failing = |all: &&[Condition]| -> Vec<Condition> {
+        all.iter().copied().filter(|condition| condition.holds(run) == Some(false)).collect()
+    };
+    let failing: Vec<Vec<Condition>> = alternatives.iter().map(failing).collect();
+    (!failing.iter().any(Vec::is_empty)).then_some(Missing(failing))
 }
 
 /// Conditions that do not hold: all of one list are needed.
@@ -134,14 +121,10 @@ impl fmt::Display for Missing {
     }
 }
 
-/// Refuses the first setting that the user gave and that has no effect in the run. `offered` is its environment from outside,
-/// if it has one that is known already.
-pub(crate) fn demand(
-    config: &RunConfig,
-    offered: Option<&EnvironmentSpec>,
-) -> Result<(), ConfigError> {
-    let (resolved, run) = (&config.resolved, Run::of(config, offered));
-    let without = resolved.given.keys().find_map(|key| Some((key, run.missing(key)?)));
+/// Refuses the first setting that the user gave and that has no effect in the run.
+pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
+    let resolved = run.resolved;
+    let without = resolved.given.keys().find_map(|key| Some((key, missing(run, key)?)));
     let Some((key, missing)) = without else { return Ok(()) };
     Err(ConfigError::NoEffect {
         place: resolved.origin(key).to_owned(),
@@ -154,7 +137,7 @@ pub(crate) fn demand(
 pub(crate) fn remarks(config: &RunConfig) -> impl Fn(&str) -> String {
     let run = Run::of(config, None);
     move |key| {
-        let missing = run.missing(key);
+        let missing = missing(&run, key);
         missing.map_or_else(String::new, |missing| format!("; no effect: it needs {missing}"))
     }
 }

@@ -1,5 +1,9 @@
 //! Configuration errors, each with the place where the user wrote the setting.
 
+use policy::SettingError;
+
+use super::resolved::Resolved;
+
 /// A configuration that cannot be used. Each message is one line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ConfigError {
@@ -99,6 +103,45 @@ pub(crate) enum ConfigError {
     },
 }
 
+/// Folders of the program's files, each with the setting that chooses one of them.
+const CHOICES: [(&str, &str); 3] = [
+    ("configs/tasks/", "task"),
+    ("configs/presets/", "preset"),
+    ("configs/algorithms/", "algorithm"),
+];
+
+impl ConfigError {
+    /// The error `detail` about `keys`, with the place of the first of them that the user gave, or whose file the user chose;
+    /// with that of the first if there is none. The error begins with the first key.
+    pub(crate) fn refused(resolved: &Resolved, keys: &[&str], detail: &str) -> Self {
+        let given = keys.iter().copied().find(|key| resolved.is_given(key));
+        let chosen = || keys.iter().find_map(|key| choice(resolved, key));
+        let key = given.or_else(chosen).unwrap_or(keys[0]);
+        let detail = if key == keys[0] {
+            detail.to_owned()
+        } else {
+            format!("{key} = {} does not fit: {detail}", resolved.plain(key))
+        };
+        Self::Refused { place: resolved.origin(key).to_owned(), key: key.to_owned(), detail }
+    }
+
+    /// As [`Self::refused`], about the key of `error` and the keys that its range names.
+    pub(super) fn out_of_range(resolved: &Resolved, error: &SettingError) -> Self {
+        let is_part = |letter: char| letter.is_ascii_alphanumeric() || "_.".contains(letter);
+        let words = error.range.split(|letter| !is_part(letter));
+        let is_key = |word: &&str| word.contains('.') && resolved.entries.contains_key(*word);
+        let keys: Vec<&str> = [error.key].into_iter().chain(words.filter(is_key)).collect();
+        Self::refused(resolved, &keys, &error.to_string())
+    }
+}
+
+/// The setting with which the user chose the file of the program that sets `key`.
+fn choice(resolved: &Resolved, key: &str) -> Option<&'static str> {
+    let origin = resolved.origin(key);
+    let (_, choice) = CHOICES.iter().find(|(folder, _)| origin.starts_with(folder))?;
+    resolved.is_given(choice).then_some(*choice)
+}
+
 /// Serde's names of number types and the words for users.
 const NUMBERS: [(&str, &str); 3] = [
     ("expected u32", "expected a whole number from 0 to 4294967295"),
@@ -114,8 +157,8 @@ fn named(key: &str, detail: &str) -> String {
 
 /// Serde's message without Rust's type names.
 pub(crate) fn in_words(detail: &str) -> String {
-    let told = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
-    NUMBERS.into_iter().fold(detail.to_owned(), told)
+    let replaced = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
+    NUMBERS.into_iter().fold(detail.to_owned(), replaced)
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

@@ -2,8 +2,7 @@
 
 use sim::spelling::nearest_by;
 use strsim::osa_distance;
-
-use super::scalar::Scalar;
+use toml::Value;
 
 /// Key of the run folder.
 const FOLDER: &str = "run.dir";
@@ -29,8 +28,8 @@ const OPERATIONAL: &[&str] = &[
 ];
 
 /// The settings that have no effect because `key` has this `value`, which is the purpose of the value.
-pub(super) fn switched_off(key: &str, value: &Scalar) -> &'static [&'static str] {
-    match (key, *value == Scalar::Integer(0)) {
+pub(super) fn switched_off(key: &str, value: &Value) -> &'static [&'static str] {
+    match (key, *value == Value::Integer(0)) {
         ("run.iterations", false) => &["run.env_steps"],
         ("evaluation.every_steps", true) => &["evaluation.episodes", "evaluation.sampled"],
         _ => &[],

@@ -1,7 +1,8 @@
 //! The steps of a message, which follow the steps of a slot unless the user gives them.
 
+use toml::Value;
+
 use super::resolved::Resolved;
-use super::scalar::Scalar;
 
 /// Steps of a message.
 pub(crate) const MESSAGE: &str = "environments.message_steps";
@@ -39,7 +40,7 @@ pub(super) fn followed(mut resolved: Resolved) -> Resolved {
 pub(crate) fn set(resolved: &mut Resolved, steps: u64) {
     // All callers choose at most the steps of an iteration, a setting.
     let steps = i64::try_from(steps).unwrap_or(i64::MAX);
-    resolved.set(MESSAGE, Scalar::Integer(steps), SLOT);
+    resolved.set(MESSAGE, Value::Integer(steps), SLOT);
 }
 
 #[cfg(test)]

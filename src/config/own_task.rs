@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 
 use proto::name;
 use sim::TaskDefinition;
+use toml::Value;
 
 use crate::process::shell;
 
 use super::error::ConfigError;
-use super::layer::{Layer, Source};
-use super::scalar::Scalar;
+use super::layers::{Layer, Source};
 
 /// Text of the task file; empty for a task of the program.
 pub(crate) const FILE: &str = "task_file.text";
@@ -41,7 +41,7 @@ impl OwnTask {
     pub(super) fn of(asked: &[Layer]) -> Result<Option<Self>, ConfigError> {
         let text = |key: &str| {
             asked.iter().rev().find_map(|layer| match layer.values.get(key) {
-                Some(Scalar::Text(text)) if !text.is_empty() => Some((text.clone(), &layer.place)),
+                Some(Value::String(text)) if !text.is_empty() => Some((text.clone(), &layer.place)),
                 _ => None,
             })
         };
@@ -60,7 +60,7 @@ impl OwnTask {
     pub(super) fn identity(&self) -> Layer {
         let TaskDefinition { file, model } = &self.definition;
         let texts = [("task", &self.name), (FILE, file), (MODEL, model)];
-        let values = texts.map(|(key, text)| (key.to_owned(), Scalar::Text(text.clone())));
+        let values = texts.map(|(key, text)| (key.to_owned(), Value::from(text.as_str())));
         let values = BTreeMap::from(values);
         Layer { place: self.place.clone(), source: Source::Program, values }
     }
@@ -159,10 +159,10 @@ fn inside(folder: &Path, path: &str) -> Result<PathBuf, String> {
     let resolved = |path: &Path| path.canonicalize().map_err(|error| error.to_string());
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let (folder, file) = (resolved(folder)?, resolved(&folder.join(path))?);
-    match file.starts_with(&folder) {
-        true => Ok(file),
-        false => Err("it is a link that leaves the task file's folder; copy the file".to_owned()),
+    if !file.starts_with(&folder) {
+        return Err("it is a link that leaves the task file's folder; copy the file".to_owned());
     }
+    Ok(file)
 }
 
 /// Content of a regular file of at most `limit` bytes.
@@ -174,10 +174,10 @@ fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(|error| error.to_string())?;
     file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
-    match bytes.len() as u64 <= limit {
-        true => Ok(bytes),
-        false => Err(format!("it has more than {limit} bytes")),
+    if bytes.len() as u64 > limit {
+        return Err(format!("it has more than {limit} bytes"));
     }
+    Ok(bytes)
 }
 
 fn refused(place: &str, error: impl std::fmt::Display) -> ConfigError {

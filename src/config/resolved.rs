@@ -5,16 +5,16 @@ use std::fmt::Write as _;
 
 use policy::arrays::hex;
 use sha2::{Digest as _, Sha256};
+use toml::Value;
 
 use super::keys;
-use super::layer::{Layer, Source};
-use super::scalar::Scalar;
+use super::layers::{Layer, Source};
 
 /// A value and the layer that set it last.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Entry {
     /// The value.
-    pub(crate) value: Scalar,
+    pub(crate) value: Value,
     /// Layer, as messages and `s2mia config` name it.
     pub(crate) origin: String,
 }
@@ -25,7 +25,7 @@ pub(crate) struct Resolved {
     /// Sorted by path.
     pub(crate) entries: BTreeMap<String, Entry>,
     /// The keys that the user gave, each with the value that it would have otherwise.
-    pub(crate) given: BTreeMap<String, Scalar>,
+    pub(crate) given: BTreeMap<String, Value>,
 }
 
 impl Resolved {
@@ -73,7 +73,7 @@ impl Resolved {
     /// The whole number under `key`, if it is one of at least 0.
     pub(crate) fn whole(&self, key: &str) -> Option<u64> {
         match self.entries.get(key).map(|entry| &entry.value) {
-            Some(Scalar::Integer(number)) => u64::try_from(*number).ok(),
+            Some(Value::Integer(number)) => u64::try_from(*number).ok(),
             _ => None,
         }
     }
@@ -81,7 +81,7 @@ impl Resolved {
     /// Text under `key`; empty if the value is not text.
     pub(crate) fn text(&self, key: &str) -> &str {
         match self.entries.get(key) {
-            Some(Entry { value: Scalar::Text(text), .. }) => text,
+            Some(Entry { value: Value::String(text), .. }) => text,
             _ => "",
         }
     }
@@ -89,7 +89,7 @@ impl Resolved {
     /// The value under `key` in one line: as TOML writes it, or the SHA-256 of a text of several lines.
     pub(crate) fn shown(&self, key: &str) -> String {
         match self.entries.get(key).map(|entry| &entry.value) {
-            Some(Scalar::Text(text)) if text.contains('\n') => {
+            Some(Value::String(text)) if text.contains('\n') => {
                 let digest: [u8; 32] = Sha256::digest(text).into();
                 format!("a text with the SHA-256 {}", hex(&digest))
             }
@@ -107,7 +107,7 @@ impl Resolved {
     }
 
     /// The keys that affect the result; includes the length if every step depends on it.
-    pub(crate) fn semantic(&self) -> impl Iterator<Item = (&str, &Scalar)> {
+    pub(crate) fn semantic(&self) -> impl Iterator<Item = (&str, &Value)> {
         let depends = self.depends_on_length();
         let all = self.entries.iter().map(|(key, entry)| (key.as_str(), &entry.value));
         all.filter(move |(key, _)| keys::is_semantic(key) || (depends && keys::is_length(key)))
@@ -126,11 +126,11 @@ impl Resolved {
 
     /// Sets a value that the program determines, such as the name of the run folder.
     pub(crate) fn set_text(&mut self, key: &str, value: &str, origin: &str) {
-        self.set(key, Scalar::Text(value.to_owned()), origin);
+        self.set(key, Value::String(value.to_owned()), origin);
     }
 
     /// Sets a value that the program determines.
-    pub(crate) fn set(&mut self, key: &str, value: Scalar, origin: &str) {
+    pub(crate) fn set(&mut self, key: &str, value: Value, origin: &str) {
         self.entries.insert(key.to_owned(), Entry { value, origin: origin.to_owned() });
     }
 

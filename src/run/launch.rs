@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::config::run_config::RunConfig;
 use crate::config::run_settings::settings_of_run;
-use crate::config::{ConfigError, Request, blame, effect, keys, layers};
+use crate::config::{ConfigError, Request, keys, layers};
 use crate::errors::Usage;
 use crate::run::fingerprints::{self, BUILD};
 use crate::run::new_folder::{NewFolder, Others};
@@ -78,7 +78,7 @@ pub(crate) fn prepare(
 ) -> anyhow::Result<Prepared> {
     let mut config = configure(settings, resumed.resume.as_deref())?;
     let offered = Offered::of(&config, transport)?;
-    effect::demand(&config, Some(&offered.spec))?;
+    config.demand_suitable(Some(&offered.spec))?;
     let fingerprint = rollout::rollout_fingerprint();
     let others = if resumed.force { Others::Accepted } else { Others::Refused };
     let (folder, new) = match &resumed.resume {
@@ -103,19 +103,8 @@ pub(crate) fn prepare(
     if !launch.resume {
         message_sizes::fit(&mut config, &mut launch)?;
     }
-    suits_environment(&config, &launch)?;
+    launch.validate().map_err(|error| Usage::new(error.to_string()))?;
     Ok(Prepared { config, folder, launch, new })
-}
-
-/// Refuses settings that do not suit the environment, by name.
-fn suits_environment(config: &RunConfig, launch: &Launch) -> anyhow::Result<()> {
-    launch.validate().map_err(|error| {
-        let detail = error.to_string();
-        match blame::of_subject(&config.resolved, &detail) {
-            Some(refused) => refused.into(),
-            None => Usage::new(detail).into(),
-        }
-    })
 }
 
 /// As [`prepare`], but resumes the run in the configured folder if there is one, so that a learner can be restarted
@@ -159,11 +148,8 @@ fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigErr
     if new_folder::named(&new.resolved)? == new_folder::named(&old.resolved)? {
         return Ok(());
     }
-    Err(ConfigError::Refused {
-        place: new.resolved.origin("run.dir").to_owned(),
-        key: "run.dir".to_owned(),
-        detail: "a resumed run stays in its folder".to_owned(),
-    })
+    let detail = "a resumed run stays in its folder";
+    Err(ConfigError::refused(&new.resolved, &["run.dir"], detail))
 }
 
 /// The start of a new run of `config`.

@@ -99,8 +99,11 @@ fn refused(
 ) -> ConfigError {
     let limit = RunDescription::MESSAGE_LIMIT_BYTES;
     let resolved = &config.resolved;
-    let origin =
-        |key: &str| resolved.origin(if resolved.is_given(key) { key } else { URL }).to_owned();
+    let refused = |key: &str, detail| {
+        let cause = if resolved.is_given(key) { key } else { URL };
+        let (place, key) = (resolved.origin(cause).to_owned(), key.to_owned());
+        ConfigError::Refused { place, key, detail }
+    };
     let Some(fitting) = fitting else {
         let least = bytes(run, Sizes { per_slot: 1, message: 1, window: 1 });
         let least = least.map_or_else(|| "too many".to_owned(), |bytes| bytes.to_string());
@@ -109,7 +112,7 @@ fn refused(
              {limit}; its observations and its state must be smaller",
             resolved.plain(URL)
         );
-        return ConfigError::Refused { place: origin(URL), key: URL.to_owned(), detail };
+        return refused(URL, detail);
     };
     let sizes = [
         (keys::PER_SLOT, now.per_slot, fitting.per_slot),
@@ -125,7 +128,7 @@ fn refused(
     let detail = format!(
         "{key} = {value} does not fit this environment: messages could be larger than {limit} bytes; set {set}"
     );
-    ConfigError::Refused { place: origin(key), key: key.to_owned(), detail }
+    refused(key, detail)
 }
 
 #[cfg(test)]

@@ -102,19 +102,15 @@ impl Drop for NewFolder {
 
 /// The folder that `run.dir` names, if it names one.
 pub(crate) fn named(resolved: &Resolved) -> Result<Option<PathBuf>, ConfigError> {
-    let refused = |detail: String| ConfigError::Refused {
-        place: resolved.origin("run.dir").to_owned(),
-        key: "run.dir".to_owned(),
-        detail,
-    };
+    let refused = |detail: &str| ConfigError::refused(resolved, &["run.dir"], detail);
     match resolved.text("run.dir") {
         "" if layers::is_of_this_command(resolved.origin("run.dir")) => {
-            Err(refused("it is empty; without it the run gets a new folder in `runs`".to_owned()))
+            Err(refused("it is empty; without it the run gets a new folder in `runs`"))
         }
         "" => Ok(None),
         given => match shell::expanded(Path::new(given)) {
             Ok(path) => Ok(Some(path)),
-            Err(why) => Err(refused(why.to_string())),
+            Err(why) => Err(refused(&why.to_string())),
         },
     }
 }

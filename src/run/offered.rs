@@ -46,11 +46,8 @@ impl Offered {
             "" => "the simulator's".to_owned(),
             sha256 => format!("one with the description {sha256}"),
         };
-        Err(ConfigError::Refused {
-            place: config.resolved.origin(URL).to_owned(),
-            key: URL.to_owned(),
-            detail: format!("the run's environment is {}, this is {}", shown(before), shown(now)),
-        })
+        let detail = format!("the run's environment is {}, this is {}", shown(before), shown(now));
+        Err(ConfigError::refused(&config.resolved, &[URL], &detail))
     }
 }
 

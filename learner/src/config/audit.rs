@@ -1,8 +1,7 @@
 //! Settings of audits.
 
+use policy::setting::{SettingError, between};
 use serde::{Deserialize, Serialize};
-
-use super::ConfigError;
 
 /// How many slots and evaluation episodes are computed twice, by two actors, to compare the results, and whether actors
 /// that cannot be compared get work.
@@ -52,12 +51,8 @@ impl AuditConfig {
     ///
     /// # Errors
     /// Names the key and its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        if (0.0..=1.0).contains(&self.share) {
-            return Ok(());
-        }
-        let (found, range) = (self.share.to_string(), "0 to 1".to_owned());
-        Err(ConfigError { key: "audit.share", found, range })
+    pub fn validate(&self) -> Result<(), SettingError> {
+        between("audit.share", self.share, 0.0, 1.0)
     }
 }
 

@@ -1,9 +1,7 @@
 //! Settings of the influence term and its posteriors.
 
+use policy::setting::{SettingError, count, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
-
-use super::{count, not_negative, out_of_range, positive, within};
-use crate::error::MarlError;
 
 /// Influence maximisation (Eq. 5-10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,7 +54,7 @@ pub enum QTraining {
 }
 
 impl InfluenceConfig {
-    pub(super) fn validate(&self) -> Result<(), MarlError> {
+    pub(super) fn validate(&self) -> Result<(), SettingError> {
         not_negative("influence.lambda", self.lambda)?;
         positive("influence.kappa", self.kappa)?;
         count("influence.encoder", self.encoder)?;
@@ -66,92 +64,9 @@ impl InfluenceConfig {
         count("influence.minibatches", self.minibatches)?;
         let (floor, range) = (self.posterior_sigma_floor, "above 0, at most 0.3");
         within("influence.posterior_sigma_floor", floor, f64::MIN_POSITIVE..=0.3, range)?;
-        if self.holdout_every < 2 {
-            let range = "at least 2: with 1 no environment would be left to train on";
-            return Err(out_of_range("influence.holdout_every", self.holdout_every, range));
-        }
-        if self.lag > 1 {
-            let range = "0 (the same step's actions) or 1 (the previous step's)";
-            return Err(out_of_range("influence.lag", self.lag, range));
-        }
-        if (self.estimator, self.q_training) == (Estimator::Count, QTraining::Shared) {
-            let range = "mle with estimator = count: a table of counts has no parameters to train";
-            return Err(out_of_range("influence.q_training", "shared", range));
-        }
-        Ok(())
-    }
-
-    /// Rejects settings that are not defined for discrete actions.
-    pub(crate) fn check_for_choices(&self) -> Result<(), MarlError> {
-        match self.q_training {
-            QTraining::Shared if self.lambda > 0.0 => Err(out_of_range(
-                "influence.q_training",
-                "shared",
-                "mle for a task with discrete actions",
-            )),
-            QTraining::Mle | QTraining::Shared => Ok(()),
-        }
-    }
-
-    /// Rejects settings that are not defined for continuous actions.
-    pub(crate) fn check_for_numbers(&self) -> Result<(), MarlError> {
-        let range = "variational_kl for continuous actions: counts need discrete actions";
-        match self.estimator {
-            Estimator::Count => Err(out_of_range("influence.estimator", "count", range)),
-            Estimator::VariationalKl => Ok(()),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::Config;
-    use crate::data::batch::ActionKind;
-    use crate::sample;
-
-    /// Error message for actions of this kind.
-    fn refusal(kind: ActionKind, change: impl Fn(&mut InfluenceConfig)) -> Option<String> {
-        let mut config: Config = sample::config();
-        change(&mut config.influence);
-        let mut problem = sample::problem();
-        problem.agents.iter_mut().for_each(|agent| agent.kind = kind);
-        let found = config.validate().and_then(|()| config.suits_agents(&problem));
-        found.err().map(|error| error.to_string())
-    }
-
-    #[test]
-    fn settings_undefined_for_a_kind_of_action_are_rejected() {
-        let choices = ActionKind::Discrete { choices: 3 };
-        let count = |config: &mut InfluenceConfig| config.estimator = Estimator::Count;
-        let shared = |config: &mut InfluenceConfig| config.q_training = QTraining::Shared;
-        assert_eq!(refusal(choices, count), None);
-        assert_eq!(refusal(ActionKind::Continuous, shared), None);
-        for (kind, message) in [
-            (
-                refusal(ActionKind::Continuous, count),
-                "influence.estimator = count is out of range: variational_kl for continuous actions: \
-                 counts need discrete actions",
-            ),
-            (
-                refusal(choices, shared),
-                "influence.q_training = shared is out of range: mle for a task with discrete actions",
-            ),
-            (
-                refusal(choices, |config| {
-                    count(config);
-                    shared(config);
-                }),
-                "influence.q_training = shared is out of range: mle with estimator = count: a table of \
-                 counts has no parameters to train",
-            ),
-            (
-                refusal(choices, |config| config.lag = 2),
-                "influence.lag = 2 is out of range: 0 (the same step's actions) or 1 (the previous \
-                 step's)",
-            ),
-        ] {
-            assert_eq!(kind.as_deref(), Some(message));
-        }
+        let some = "at least 2: with 1 no environment would be left to train on";
+        within("influence.holdout_every", self.holdout_every, 2.., some)?;
+        let lags = "0 (the same step's actions) or 1 (the previous step's)";
+        within("influence.lag", self.lag, 0..=1, lags)
     }
 }

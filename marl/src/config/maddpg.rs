@@ -1,9 +1,7 @@
 //! Settings of MADDPG only: its replay, targets and exploration.
 
+use policy::setting::{SettingError, between, count, positive, within};
 use serde::{Deserialize, Serialize};
-
-use super::{Config, CriticCore, StateNorm, count, out_of_range, positive, within};
-use crate::error::MarlError;
 
 /// MADDPG's exploration, replay and targets. Learning rates, discount and critic sizes are in the sections `update` and
 /// `critic`.
@@ -28,8 +26,8 @@ pub struct MaddpgConfig {
 }
 
 impl MaddpgConfig {
-    pub(super) fn validate(&self) -> Result<(), MarlError> {
-        within("maddpg.replay", self.replay as f64, 1.0..=1e6, "1 to 1000000")?;
+    pub(super) fn validate(&self) -> Result<(), SettingError> {
+        between("maddpg.replay", self.replay, 1, 1_000_000)?;
         count("maddpg.batch", self.batch)?;
         count("maddpg.n_step", self.n_step)?;
         let ratio = "0 < updates_per_step <= 10";
@@ -37,26 +35,5 @@ impl MaddpgConfig {
         within("maddpg.updates_per_step", self.updates_per_step, updates, ratio)?;
         positive("maddpg.noise", self.noise)?;
         within("maddpg.polyak", self.polyak, f64::MIN_POSITIVE..=1.0, "0 < polyak <= 1")
-    }
-}
-
-impl Config {
-    /// Rejects settings that MADDPG does not support.
-    pub(super) fn check_for_maddpg(&self) -> Result<(), MarlError> {
-        if self.critic.core == CriticCore::Gru {
-            let range =
-                "mlp with update.rule = maddpg: the replay holds single steps, no recurrent states";
-            return Err(out_of_range("critic.core", "gru", range));
-        }
-        let stale = "0 with update.rule = maddpg: the density is refitted in every iteration, \
-                     so rewards in the replay would be stale";
-        within("surprise.alpha", self.surprise.alpha, 0.0..=0.0, stale)?;
-        if self.critic.state_norm == StateNorm::Running {
-            let range = "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale";
-            return Err(out_of_range("critic.state_norm", self.critic.state_norm.name(), range));
-        }
-        let pointless = "0 with update.rule = maddpg: a deterministic policy has no density to \
-                         regularise";
-        within("influence.lambda", self.influence.lambda, 0.0..=0.0, pointless)
     }
 }

@@ -1,9 +1,7 @@
 //! Settings of the surprise reward.
 
+use policy::setting::{SettingError, not_negative};
 use serde::{Deserialize, Serialize};
-
-use super::not_negative;
-use crate::error::MarlError;
 
 /// Surprise minimisation (Eq. 2-4, 9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,7 +26,7 @@ pub enum DensityKind {
 }
 
 impl SurpriseConfig {
-    pub(super) fn validate(&self) -> Result<(), MarlError> {
+    pub(super) fn validate(&self) -> Result<(), SettingError> {
         not_negative("surprise.alpha", self.alpha)
     }
 }

@@ -44,14 +44,6 @@ impl From<mcap::McapError> for LogError {
 /// Why the log of an actor cannot be started.
 #[derive(Debug, Error)]
 pub enum LogStartError {
-    /// The file size is out of range.
-    #[error("log.max_file_mib must be in 1..={most}, is {size}")]
-    FileSize {
-        /// The size in the settings, MiB.
-        size: u64,
-        /// Upper bound, MiB.
-        most: u64,
-    },
     /// The folder cannot be created.
     #[error("cannot create {}: {source}", folder.display())]
     Folder {

@@ -1,54 +1,11 @@
-//! Every setting has an effect always or under conditions, and what has none is refused.
+//! A setting that has no effect is refused.
 
 use std::collections::BTreeSet;
 
+use proto::EnvironmentSpec;
+
 use super::*;
 use crate::config::{Request, layers};
-
-/// Settings that have an effect in every run. Where a run allows only one value, giving that value is right, not without effect.
-const ALWAYS: &[&str] = &[
-    "algorithm",
-    "audit.fingerprint",
-    "audit.share",
-    "checkpoint.every",
-    "checkpoint.keep_last",
-    "critic.core",
-    "critic.layers",
-    "critic.learning_rate",
-    "critic.max_gradient_norm",
-    "critic.state_norm",
-    "critic.width",
-    "environment_service.url",
-    "environments.count",
-    "environments.message_steps",
-    "environments.per_slot",
-    "environments.phase",
-    "environments.steps",
-    "evaluation.every_steps",
-    "learner.connections",
-    "learner.other_builds",
-    "learner.threads",
-    "lease.ttl_secs",
-    "log.episodes",
-    "observation.norm",
-    "policy.backpropagation_steps",
-    "policy.core",
-    "policy.head_gain",
-    "policy.input_norm",
-    "preset",
-    "run.actors",
-    "run.dir",
-    "run.iterations",
-    "run.seed",
-    "surprise.alpha",
-    "task",
-    "update.adam_epsilon",
-    "update.gamma",
-    "update.learning_rate",
-    "update.learning_rate_decay",
-    "update.max_gradient_norm",
-    "update.rule",
-];
 
 const OUTSIDE: &str = "environment_service.url=http://localhost:7";
 
@@ -86,14 +43,12 @@ fn refusal(settings: &[&str]) -> String {
 }
 
 #[test]
-fn every_setting_has_an_effect_always_or_under_conditions() {
-    let conditional = TABLE.iter().flat_map(|(keys, _)| keys.iter().copied());
-    let listed: Vec<&str> = ALWAYS.iter().copied().chain(conditional).collect();
+fn every_setting_with_conditions_exists_and_is_listed_once() {
+    let listed: Vec<&str> = TABLE.iter().flat_map(|(keys, _)| keys.iter().copied()).collect();
     let distinct: BTreeSet<&str> = listed.iter().copied().collect();
     assert_eq!(distinct.len(), listed.len(), "a setting is listed twice");
-    let defaults = layers::defaults();
-    let known: BTreeSet<&str> = defaults.entries.keys().map(String::as_str).collect();
-    assert_eq!(distinct, known);
+    let defaults = resolved(&[]).unwrap().resolved;
+    assert!(listed.iter().all(|key| defaults.entries.contains_key(*key)));
 }
 
 #[test]
@@ -151,8 +106,9 @@ fn an_environment_from_outside_decides_about_settings_once_it_is_known() {
     let config = resolved(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).unwrap();
     let world = sim::environments(&resolved(&["cue-2x1"]).unwrap().task, 1).unwrap();
     let mut spec = world.description().clone();
-    let refused =
-        |spec: &EnvironmentSpec| demand(&config, Some(spec)).expect_err("refused").to_string();
+    let refused = |spec: &EnvironmentSpec| {
+        config.demand_suitable(Some(spec)).expect_err("refused").to_string()
+    };
     assert!(refused(&spec).contains("`policy.sigma_floor`"));
     spec.agents.truncate(1);
     assert!(refused(&spec).contains("`influence.lag`"));

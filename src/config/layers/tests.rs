@@ -31,11 +31,11 @@ fn every_layer_wins_over_the_one_before_it() {
     assert_eq!(gamma(&request).origin, path.display().to_string());
 
     request.environment = vec![("S2MIA__UPDATE__GAMMA".into(), "0.12".into())];
-    assert_eq!(gamma(&request).value, Scalar::Float(0.12));
+    assert_eq!(gamma(&request).value, Value::Float(0.12));
     assert_eq!(gamma(&request).origin, "environment variable S2MIA__UPDATE__GAMMA");
 
     request.settings.push("update.gamma=0.13".into());
-    let asked = Entry { value: Scalar::Float(0.13), origin: "command line".into() };
+    let asked = Entry { value: Value::Float(0.13), origin: "command line".into() };
     assert_eq!(gamma(&request), asked);
 }
 
@@ -46,8 +46,8 @@ fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
         ["surprise.alpha", "influence.lambda", "update.entropy"]
             .map(|key| resolved.entries[key].value.clone())
     };
-    assert_eq!(weights("happo-s2mia"), [0.01, 0.01, 0.0].map(Scalar::Float));
-    assert_eq!(weights("happo"), [0.0, 0.0, 0.01].map(Scalar::Float));
+    assert_eq!(weights("happo-s2mia"), [0.01, 0.01, 0.0].map(Value::Float));
+    assert_eq!(weights("happo"), [0.0, 0.0, 0.01].map(Value::Float));
 }
 
 #[test]
@@ -57,9 +57,9 @@ fn an_environment_from_outside_takes_the_settings_of_a_task_only_if_it_is_named(
         resolved.entries["update.epochs"].value.clone()
     };
     let (url, harl) = ("environment_service.url=http://localhost:7", "preset=harl");
-    assert_eq!(epochs(&[harl]), Scalar::Integer(15));
-    assert_eq!(epochs(&[url, harl]), Scalar::Integer(5));
-    assert_eq!(epochs(&["halfcheetah-2x3", url, harl]), Scalar::Integer(15));
+    assert_eq!(epochs(&[harl]), Value::Integer(15));
+    assert_eq!(epochs(&[url, harl]), Value::Integer(5));
+    assert_eq!(epochs(&["halfcheetah-2x3", url, harl]), Value::Integer(15));
     let gamma = resolve(&request(&["walker2d-2x3", url])).unwrap();
     assert_eq!(gamma.origin("update.gamma"), "configs/tasks/walker2d-2x3.toml");
 }
@@ -195,9 +195,9 @@ fn a_resumed_run_keeps_its_own_values_where_the_presets_have_changed() {
     let path = file(&folder, "algorithm = \"happo\"\n[update]\nclip = 0.33\n");
     let request = Request { resumed: Some(path), ..request(&["run.actors=3"]) };
     let resolved = resolve(&request).unwrap();
-    assert_eq!(resolved.entries["update.clip"].value, Scalar::Float(0.33));
+    assert_eq!(resolved.entries["update.clip"].value, Value::Float(0.33));
     assert_eq!(resolved.origin("update.epochs"), "configs/base.toml");
-    assert_eq!(resolved.entries["run.actors"].value, Scalar::Integer(3));
+    assert_eq!(resolved.entries["run.actors"].value, Value::Integer(3));
 }
 
 #[test]
@@ -223,9 +223,9 @@ fn the_hash_covers_what_is_computed_and_nothing_else() {
 fn the_hash_of_given_settings_never_changes() {
     let entry = |value| Entry { value, origin: "test".into() };
     let entries = BTreeMap::from([
-        ("task".to_owned(), entry(Scalar::Text("a".into()))),
-        ("update.clip".to_owned(), entry(Scalar::Float(0.5))),
-        ("run.actors".to_owned(), entry(Scalar::Integer(3))),
+        ("task".to_owned(), entry(Value::String("a".into()))),
+        ("update.clip".to_owned(), entry(Value::Float(0.5))),
+        ("run.actors".to_owned(), entry(Value::Integer(3))),
     ]);
     // printf 'task = "a"\nupdate.clip = 0.5\n' | sha256sum
     assert_eq!(
@@ -320,13 +320,4 @@ fn an_unknown_preset_is_refused_with_all_known_ones() {
         refusal(&["preset=harrl"]),
         "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, harl, paper"
     );
-}
-
-#[test]
-fn a_run_older_than_the_presets_is_taken_up_as_the_tuned_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file(&folder, "task = \"ant-4x2\"\nalgorithm = \"happo\"\n");
-    let resolved = resolve(&Request { resumed: Some(path), ..Request::default() }).unwrap();
-    assert_eq!(resolved.text("preset"), "tuned");
-    assert_eq!(resolved.origin("update.epochs"), "configs/base.toml");
 }

@@ -156,11 +156,12 @@ impl Replay {
 
     /// Stores an iteration, the continuation of the previous one.
     pub(super) fn add(&mut self, batch: &Batch) -> Result<(), MarlError> {
-        if self.capacity < batch.environments {
-            let range = "at least one step of every environment";
-            let (key, found) = ("maddpg.replay", self.capacity.to_string());
-            return Err(MarlError::Config { key, found, range });
-        }
+        assert!(
+            self.capacity >= batch.environments,
+            "a replay of {} transitions for {} environments",
+            self.capacity,
+            batch.environments
+        );
         self.environments = batch.environments;
         let first = self.rows_added();
         // The following row now contains the newest step's next state, except after a truncation.

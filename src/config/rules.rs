@@ -1,0 +1,150 @@
+//! Rules between settings of different sections, and between settings and the environment. The range of a single setting is
+//! checked by its section.
+
+use Condition::{Above0, Environment, Filled, Is, Not};
+use Property::{Continuous, Discrete};
+use marl::config::Sharing;
+use policy::setting::{SettingError, multiple, within};
+use proto::EnvironmentSpec;
+
+use super::conditions::{Condition, INFLUENCE, MADDPG, Property, Run};
+use super::error::ConfigError;
+use super::message_steps::{MESSAGE, SLOT, WINDOW};
+use super::run_config::RunConfig;
+
+/// A value that does not go with others.
+struct Rule {
+    /// The value.
+    refused: Condition,
+    /// What it does not go with: all of these together.
+    with: &'static [Condition],
+    /// The values that are allowed instead, with the reason.
+    allowed: &'static str,
+}
+
+const fn rule(refused: Condition, with: &'static [Condition], allowed: &'static str) -> Rule {
+    Rule { refused, with, allowed }
+}
+
+const TABLE: &[Rule] = &[
+    rule(Is("update.parameters", &["shared"]), &[MADDPG], "separate with update.rule = maddpg"),
+    rule(
+        Is("policy.core", &["gru"]),
+        &[MADDPG],
+        "mlp with update.rule = maddpg: the replay holds single steps, no recurrent states",
+    ),
+    rule(
+        Is("observation.norm", &["running"]),
+        &[MADDPG],
+        "feature_z or none with update.rule = maddpg: running statistics would differ from those of the replay",
+    ),
+    rule(
+        Is("critic.core", &["gru"]),
+        &[MADDPG],
+        "mlp with update.rule = maddpg: the replay holds single steps, no recurrent states",
+    ),
+    rule(
+        Above0("surprise.alpha"),
+        &[MADDPG],
+        "0 with update.rule = maddpg: the density is refitted in every iteration, so rewards in the replay would be stale",
+    ),
+    rule(
+        Is("critic.state_norm", &["running"]),
+        &[MADDPG],
+        "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale",
+    ),
+    rule(
+        INFLUENCE,
+        &[MADDPG],
+        "0 with update.rule = maddpg: a deterministic policy has no density to regularise",
+    ),
+    rule(
+        Is("update.rule", &["maddpg"]),
+        &[Environment(Discrete)],
+        "happo or mappo for a task with discrete actions",
+    ),
+    rule(
+        Is("influence.estimator", &["count"]),
+        &[Environment(Continuous)],
+        "variational_kl for continuous actions: counts need discrete actions",
+    ),
+    rule(
+        Is("influence.q_training", &["shared"]),
+        &[Is("influence.estimator", &["count"])],
+        "mle with estimator = count: a table of counts has no parameters to train",
+    ),
+    rule(
+        Is("influence.q_training", &["shared"]),
+        &[Is("update.parameters", &["shared"]), INFLUENCE],
+        "mle with update.parameters = shared: a trunk has one second head",
+    ),
+    rule(
+        Is("influence.q_training", &["shared"]),
+        &[INFLUENCE, Environment(Discrete)],
+        "mle for a task with discrete actions",
+    ),
+    rule(Above0("policy.burn_in"), &[Is("policy.core", &["mlp"])], "0 with policy.core = mlp"),
+    rule(
+        Not("log.episodes", "none"),
+        &[Filled("environment_service.url")],
+        "none with environment_service.url: only the simulator's episodes are logged",
+    ),
+];
+
+impl Rule {
+    fn is_broken(&self, run: &Run<'_>) -> bool {
+        let mut conditions = [self.refused].into_iter().chain(self.with.iter().copied());
+        conditions.all(|condition| condition.holds(run) == Some(true))
+    }
+}
+
+/// Refuses the first value that does not go with others, or with the environment as far as it is known.
+pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
+    let Some(rule) = TABLE.iter().find(|rule| rule.is_broken(run)) else { return Ok(()) };
+    let conditions = [rule.refused].into_iter().chain(rule.with.iter().copied());
+    let keys: Vec<&str> = conditions.filter_map(Condition::setting).collect();
+    let found = run.resolved.plain(keys[0]);
+    let detail = format!("{} = {found} is out of range: {}", keys[0], rule.allowed);
+    Err(ConfigError::refused(run.resolved, &keys, &detail))
+}
+
+/// Refuses numbers that do not go with those of other sections.
+pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
+    let (policy, training) = (&config.policy, &config.training);
+    let environments = &config.learner.environments;
+    let window = policy.backpropagation_steps;
+    multiple(SLOT, environments.steps, WINDOW, window)?;
+    multiple(MESSAGE, environments.message_steps, WINDOW, window)?;
+    if training.update.rule == marl::config::Rule::Maddpg {
+        let count = environments.count;
+        let range = format!("at least environments.count = {count}, one step of each");
+        within("maddpg.replay", training.maddpg.replay, count.., &range)?;
+    }
+    Ok(())
+}
+
+/// Refuses shared parameters of agents with different sizes.
+pub(super) fn demand_equal_agents(
+    config: &RunConfig,
+    environment: &EnvironmentSpec,
+) -> Result<(), ConfigError> {
+    if config.training.update.parameters == Sharing::Separate {
+        return Ok(());
+    }
+    let sizes = |index: usize| {
+        let agent = &environment.agents[index];
+        (agent.observation.len(), agent.action.size)
+    };
+    let Some(other) = (1..environment.agents.len()).find(|&index| sizes(index) != sizes(0)) else {
+        return Ok(());
+    };
+    let ((observation, action), (others, acted)) = (sizes(0), sizes(other));
+    let detail = format!(
+        "update.parameters = shared needs agents of equal sizes: agent 0 has {observation} observation features and \
+         {action} action dimensions, agent {other} has {others} and {acted}; use separate"
+    );
+    Err(ConfigError::refused(&config.resolved, &["update.parameters"], &detail))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,85 @@
+//! Values that exclude each other are refused by key, value and reason.
+
+use super::*;
+use crate::config::{Request, layers};
+
+fn built(settings: &[&str]) -> Result<RunConfig, ConfigError> {
+    let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
+    RunConfig::build(layers::resolve(&Request { settings, ..Request::default() })?)
+}
+
+/// Settings that break one rule, and the value that is refused.
+const CASES: &[(&[&str], &str)] = &[
+    (&["algorithm=maddpg", "update.parameters=shared"], "update.parameters = shared"),
+    (&["algorithm=maddpg", "policy.core=gru"], "policy.core = gru"),
+    (&["algorithm=maddpg", "observation.norm=running"], "observation.norm = running"),
+    (&["algorithm=maddpg", "critic.core=gru"], "critic.core = gru"),
+    (&["algorithm=maddpg", "surprise.alpha=0.01"], "surprise.alpha = 0.01"),
+    (&["algorithm=maddpg", "critic.state_norm=running"], "critic.state_norm = running"),
+    (&["algorithm=maddpg", "influence.lambda=0.01"], "influence.lambda = 0.01"),
+    (&["cue-2x1", "algorithm=maddpg"], "update.rule = maddpg"),
+    (&["influence.estimator=count"], "influence.estimator = count"),
+    (
+        &["cue-2x1", "influence.estimator=count", "influence.q_training=shared"],
+        "influence.q_training = shared",
+    ),
+    (&["update.parameters=shared", "influence.q_training=shared"], "influence.q_training = shared"),
+    (&["cue-2x1", "influence.q_training=shared"], "influence.q_training = shared"),
+    (&["environment_service.url=http://localhost:7", "log.episodes=all"], "log.episodes = all"),
+];
+
+#[test]
+fn every_rule_refuses_a_value_with_the_allowed_ones() {
+    assert_eq!(TABLE.len(), CASES.len());
+    for (rule, (settings, value)) in TABLE.iter().zip(CASES) {
+        let message = built(settings).expect_err("refused").to_string();
+        let expected = format!("{value} is out of range: {}", rule.allowed);
+        assert!(message.starts_with("command line: ") && message.ends_with(&expected), "{message}");
+    }
+}
+
+#[test]
+fn values_of_one_section_do_not_exclude_those_of_a_rule_that_is_not_chosen() {
+    for settings in [
+        &["cue-2x1", "influence.estimator=count"][..],
+        &["influence.q_training=shared"],
+        &["environment_service.url=http://localhost:7", "observation.norm=running"],
+    ] {
+        assert!(built(settings).is_ok(), "{settings:?}");
+    }
+}
+
+#[test]
+fn numbers_of_several_sections_must_fit() {
+    for (settings, expected) in [
+        (
+            &["policy.backpropagation_steps=7"][..],
+            "command line: policy.backpropagation_steps = 7 does not fit: environments.steps = 50 is out of range: a multiple of \
+             policy.backpropagation_steps = 7",
+        ),
+        (
+            &["algorithm=maddpg", "maddpg.replay=9"],
+            "command line: maddpg.replay = 9 is out of range: at least environments.count = 10",
+        ),
+    ] {
+        let message = built(settings).expect_err("refused").to_string();
+        assert!(message.starts_with(expected), "{message}");
+    }
+}
+
+#[test]
+fn agents_with_shared_parameters_must_have_equal_sizes() {
+    let config = built(&["update.parameters=shared"]).unwrap();
+    let world = sim::environments(&config.task, 1).unwrap();
+    let mut spec = world.description().clone();
+    assert_eq!(config.demand_suitable(Some(&spec)), Ok(()));
+    spec.agents[1].action.size = 1;
+    let features = spec.agents[0].observation.len();
+    assert_eq!(
+        config.demand_suitable(Some(&spec)).unwrap_err().to_string(),
+        format!(
+            "command line: update.parameters = shared needs agents of equal sizes: agent 0 has {features} observation \
+             features and 3 action dimensions, agent 1 has {features} and 1; use separate"
+        )
+    );
+}

@@ -1,0 +1,114 @@
+//! Valid and refused configurations.
+
+use super::*;
+use crate::config::presets;
+
+fn built(settings: &[&str]) -> Result<RunConfig, ConfigError> {
+    let settings = settings.iter().map(|s| (*s).to_owned()).collect();
+    RunConfig::build(layers::resolve(&Request { settings, ..Request::default() }).unwrap())
+}
+
+fn tasks_and_presets() -> Vec<(&'static str, &'static str)> {
+    let presets = || presets::PRESETS.iter().map(|preset| preset.name);
+    presets::TASKS.iter().flat_map(|task| presets().map(|preset| (task.name, preset))).collect()
+}
+
+#[test]
+fn every_task_with_every_algorithm_and_preset_is_valid_but_a_game_with_maddpg() {
+    for (task, preset) in tasks_and_presets() {
+        for algorithm in presets::ALGORITHMS {
+            if sim::Robot::of_task(task).is_err() && algorithm.name == "maddpg" {
+                continue;
+            }
+            let algorithm = format!("algorithm={}", algorithm.name);
+            let config = built(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
+            assert_eq!(config.task.task, task);
+            sim::environments(&config.task, 1).unwrap();
+        }
+    }
+}
+
+#[test]
+fn an_external_environment_suits_every_algorithm_and_preset() {
+    let (url, harl) = ("environment_service.url=http://localhost:7", "preset=harl");
+    for algorithm in presets::ALGORITHMS {
+        for preset in presets::PRESETS {
+            let algorithm = format!("algorithm={}", algorithm.name);
+            built(&[url, &algorithm, &format!("preset={}", preset.name)]).unwrap();
+        }
+    }
+    assert_eq!(built(&[url, harl]).unwrap().resolved.text("observation.norm"), "feature_z");
+}
+
+#[test]
+fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
+    for (algorithm, alpha, lambda, entropy) in [
+        ("happo", 0.0, 0.0, 0.01),
+        ("happo-sm", 0.01, 0.0, 0.0),
+        ("happo-smh", 0.01, 0.0, 0.01),
+        ("happo-s2mia", 0.01, 0.01, 0.0),
+        ("happo-mi", 0.0, 0.01, 0.0),
+        ("happo-0", 0.0, 0.0, 0.0),
+    ] {
+        for (task, preset) in tasks_and_presets() {
+            let settings = [task, &format!("algorithm={algorithm}"), &format!("preset={preset}")];
+            let marl::Config { update, surprise, influence, .. } =
+                built(&settings).unwrap().training;
+            let harls = preset == "harl" && ["walker2d-2x3", "ant-4x2"].contains(&task);
+            let entropy = if algorithm == "happo" && harls { 0.0 } else { entropy };
+            let found = (surprise.alpha, influence.lambda, update.entropy);
+            assert_eq!(found, (alpha, lambda, entropy), "{settings:?}");
+        }
+    }
+}
+
+#[test]
+fn maddpg_is_refused_for_choices_by_its_own_key() {
+    let message = built(&["cue-2x1", "algorithm=maddpg"]).unwrap_err().to_string();
+    let expected = "command line: algorithm = maddpg does not fit: update.rule = maddpg is out of \
+                    range: happo or mappo for a task with discrete actions";
+    assert_eq!(message, expected);
+}
+
+#[test]
+fn the_default_run_is_a_million_env_steps() {
+    let config = built(&[]).unwrap();
+    assert_eq!((config.iterations(), config.env_steps()), (1000, 1_000_000));
+    assert_eq!(built(&["run.env_steps=1001"]).unwrap().iterations(), 2);
+    assert_eq!(built(&["run.iterations=5"]).unwrap().env_steps(), 5_000);
+}
+
+#[test]
+fn a_value_out_of_range_is_laid_at_its_key_and_place() {
+    for (setting, key) in [
+        ("update.gamma=1.5", "update.gamma"),
+        ("update.learning_rate=-1", "update.learning_rate"),
+        ("environments.count=0", "environments.count"),
+        ("environments.message_steps=25", "environments.message_steps"),
+        ("policy.core=lstm", "policy.core"),
+        ("policy.hidden=0", "policy.hidden"),
+        ("observation.mode=eyes", "observation.mode"),
+        ("observation.norm=mean", "observation.norm"),
+        ("critic.core=lstm", "critic.core"),
+        ("critic.state_norm=mean", "critic.state_norm"),
+        ("run.seed=-1", "run.seed"),
+        ("run.actors=100000", "run.actors"),
+        ("run.env_steps=0", "run.env_steps"),
+        ("surprise.density=oracle", "surprise.density"),
+        ("influence.kappa=-1", "influence.kappa"),
+        ("influence.lag=2", "influence.lag"),
+        ("influence.estimator=count", "influence.estimator"),
+        ("lease.ttl_secs=0", "lease.ttl_secs"),
+        ("critic.clip=-1", "critic.clip"),
+        ("maddpg.replay=2000000", "maddpg.replay"),
+        ("maddpg.polyak=0", "maddpg.polyak"),
+        ("log.episodes=some", "log.episodes"),
+        ("log.episodes=0", "log.episodes"),
+        ("log.max_file_mib=0", "log.max_file_mib"),
+    ] {
+        let message =
+            built(&["halfcheetah-6x1", "algorithm=happo", setting]).unwrap_err().to_string();
+        assert!(message.starts_with("command line: "), "{message}");
+        assert!(message.contains(key) && !message.contains('\n'), "{message}");
+    }
+}
