@@ -202,7 +202,7 @@ fn an_invalid_description_is_rejected_by_field_before_the_run_starts() {
 #[test]
 fn an_invalid_answer_ends_the_actors_with_its_field() {
     type Lie = fn(&mut Answer);
-    let lies: [(Lie, &str); 6] = [
+    let lies: [(Lie, &str); 3] = [
         (
             |answer| {
                 if let Answer::View(view) = answer {
@@ -221,35 +221,11 @@ fn an_invalid_answer_ends_the_actors_with_its_field() {
         ),
         (
             |answer| {
-                if let Answer::Steps(steps) = answer {
-                    steps.reward.as_mut().unwrap().data = 4e10_f32.to_le_bytes().repeat(2).into();
-                }
-            },
-            "BAD_VALUE: steps.reward: element 0 is 4e10, its magnitude must be at most 1e9",
-        ),
-        (
-            |answer| {
-                if let Answer::Steps(steps) = answer {
-                    steps.view.as_mut().unwrap().state.as_mut().unwrap().shape = vec![2, 5];
-                }
-            },
-            "steps.view.state",
-        ),
-        (
-            |answer| {
                 if let Answer::Saved(saved) = answer {
                     saved.state = vec![0; 10_000].into();
                 }
             },
             "saved.state: 10000 bytes",
-        ),
-        (
-            |answer| {
-                if let Answer::Saved(_) = answer {
-                    *answer = Answer::View(wire::EnvironmentsView::default());
-                }
-            },
-            "answer: view, expected saved",
         ),
     ];
     for (answer, field) in lies {

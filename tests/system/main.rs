@@ -22,5 +22,4 @@ mod runs;
 mod serve;
 mod shutdown;
 mod train;
-mod trained;
 mod waiting;

@@ -1,6 +1,7 @@
 //! Served policies compute the same actions as the evaluator, bit for bit.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
@@ -16,11 +17,29 @@ use tonic::{Code, Request, Status, Streaming};
 
 use crate::commands::{Background, refused};
 use crate::runs::{Runs, inspect, succeeded, train};
-use crate::trained::{self, world};
 
 /// A finished run of two iterations, shared by all tests.
 fn trained() -> &'static Path {
-    trained::folder("run.iterations=2")
+    static RUN: OnceLock<(Runs, PathBuf)> = OnceLock::new();
+    let (_, folder) = RUN.get_or_init(|| {
+        let runs = Runs::new();
+        let folder = runs.folder("trained");
+        train(&folder, &["run.iterations=2"]);
+        (runs, folder)
+    });
+    folder
+}
+
+/// The environment of a run.
+fn world(folder: &Path) -> Box<dyn EnvironmentBatch> {
+    let settings = std::fs::read_to_string(folder.join("config.toml")).unwrap();
+    let settings: toml::Table = settings.parse().unwrap();
+    let task = sim::TaskConfig {
+        task: settings["task"].as_str().unwrap().to_owned(),
+        definition: None,
+        observation: settings["observation"].clone().try_into().unwrap(),
+    };
+    sim::environments(&task, 1).unwrap()
 }
 
 /// A server of policies.
