@@ -1,5 +1,8 @@
 //! Settings of a small run: 4 environments x 8 steps, two slots, small networks.
 
+#[path = "../../../marl/tests/fixture/settings.rs"]
+mod small;
+
 use std::path::Path;
 
 use learner::config::{
@@ -7,7 +10,9 @@ use learner::config::{
     LeaseConfig, Phase, ThreadsConfig,
 };
 use learner::launch::Launch;
-use policy::{CoreKind, InputNorm, PolicyConfig, RunSeed};
+use marl::SurpriseConfig;
+use marl::config::{CriticCore, DensityKind, Rule};
+use policy::{CoreKind, RunSeed};
 use proto::Digest;
 use serde_json::json;
 
@@ -19,7 +24,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         config: config(),
         training: training(),
         observations: marl::ObservationScale::AsShown,
-        policy: policy(),
+        policy: small::policy(CoreKind::Gru),
         environment: toy::environment(),
         task_settings: "{}".to_owned(),
         states: toy::states(),
@@ -59,49 +64,12 @@ fn config() -> Config {
     }
 }
 
-fn policy() -> PolicyConfig {
-    PolicyConfig {
-        core: CoreKind::Gru,
-        input_norm: InputNorm::LayerNorm,
-        encoder: 8,
-        hidden: 8,
-        width: 8,
-        layers: 1,
-        backpropagation_steps: 2,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 0.01,
-    }
-}
-
-/// Parsed from JSON, so that the test does not depend on all types of the settings. Density and critic are those with
-/// the largest state.
+/// Density and critic are those with the largest state.
 fn training() -> marl::Config {
-    serde_json::from_value(json!({
-        "update": {
-            "rule": "happo", "parameters": "separate", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 5e-4,
-            "learning_rate_decay": "none",
-            "adam_epsilon": 1e-5, "clip": 0.2, "epochs": 2, "minibatches": 1, "desired_kl": 0.0, "entropy": 0.0,
-            "max_gradient_norm": 10.0,
-        },
-        "critic": {
-            "core": "gru", "input_norm": "layer_norm", "layers": 1, "width": 8, "learning_rate": 5e-4, "epochs": 2,
-            "minibatches": 1, "clip": 0.2, "huber_delta": 10.0, "normalizer_beta": 0.999,
-            "state_norm": "none", "max_gradient_norm": 10.0,
-        },
-        "surprise": {
-            "alpha": 0.01, "density": "vae",
-        },
-        "influence": {
-            "lambda": 0.01, "estimator": "variational_kl",
-            "q_training": "mle", "kappa": 1.0, "encoder": 8, "hidden": 8, "epochs": 2,
-            "learning_rate": 5e-4, "minibatches": 1, "posterior_sigma_floor": 0.05, "holdout_every": 2,
-            "lag": 0,
-        },
-        "maddpg": {
-            "replay": 1000, "batch": 8, "n_step": 2, "warm_up": 0, "updates_per_step": 0.1,
-            "noise": 0.1, "polyak": 0.005,
-        },
-    }))
-    .unwrap()
+    let mut training = small::config(Rule::Happo);
+    training.critic.core = CriticCore::Gru;
+    training.surprise = SurpriseConfig { alpha: 0.01, density: DensityKind::Vae };
+    training.influence.lambda = 0.01;
+    training.influence.holdout_every = 2;
+    training
 }
