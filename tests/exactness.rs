@@ -230,7 +230,7 @@ const VARIANTS: [&[&str]; 7] = [
     &["algorithm=happo-s2mia", "policy.core=mlp", "policy.width=8", "policy.layers=1"],
     &["algorithm=happo-s2mia", "observation.norm=none"],
     &["task=walker2d-2x3", "observation.mode=k_nearest"],
-    &["task=ant-4x2", "observation.contact_forces=real"],
+    &["task=ant-4x2", "observation.contact_forces=zeros"],
     &["task=cue-2x1"],
 ];
 

@@ -69,8 +69,6 @@ pub enum ContactForces {
     Absent,
     /// The features exist and are always zero, as in the published runs.
     Zeros,
-    /// From the contact impulses of the last physics step. They also add a cost to the reward.
-    Real,
 }
 
 /// Scaling of an observation's features.

@@ -17,7 +17,6 @@ use crate::scene::Pose;
 use crate::state::{State, StateBounds};
 use crate::task::{self, Motion, Rules, Transition};
 use crate::world::World;
-use crate::world::contact_forces::PER_BODY;
 use describe::Driven;
 
 /// The robot environments of a slot.
@@ -27,7 +26,6 @@ pub(crate) struct RobotEnvironments {
     description: EnvironmentSpec,
     bounds: StateBounds,
     observation: Observation,
-    contact_forces: ContactForces,
     /// Motor driven by each component of the joint action, `[A]`.
     motors: Vec<Driven>,
     environments: Vec<Environment>,
@@ -63,7 +61,6 @@ fn rest(robot: &Robot, bounds: &StateBounds, position: EpisodePosition) -> State
         position,
         coordinates: robot.rest().to_vec(),
         velocities: vec![0.0; bounds.velocities],
-        contact_forces: vec![0.0; bounds.contact_forces],
         actions: vec![0.0; bounds.actions],
     }
 }
@@ -85,9 +82,6 @@ impl RobotEnvironments {
         let motors = actuators.len();
         let view = effective(&config.observation, &task.rules);
         let mut bounds = task.robot.state_bounds(task.episode_steps);
-        if view.contact_forces == ContactForces::Real {
-            bounds.contact_forces = PER_BODY * task.robot.bodies().len();
-        }
         if task.rules.reads_last_action() {
             bounds.actions = motors;
         }
@@ -111,7 +105,6 @@ impl RobotEnvironments {
             robot,
             description,
             observation,
-            contact_forces: view.contact_forces,
         };
         (0..count).for_each(|index| environments.update_state(index));
         Ok(environments)
@@ -234,9 +227,6 @@ impl RobotEnvironments {
             environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
-        if self.contact_forces == ContactForces::Real {
-            environment.world.contact_forces(&mut self.next.contact_forces);
-        }
         let remembered = self.next.actions.len();
         self.next.actions.copy_from_slice(&self.asked[..remembered]);
         std::mem::swap(&mut environment.now, &mut self.next);
@@ -244,13 +234,11 @@ impl RobotEnvironments {
         self.outcome(index)
     }
 
-    /// Computes the global state of `now`: the part that the rules define, then the contact forces.
+    /// Computes the global state of `now`. Features of contact forces, the last ones, stay 0.
     fn update_state(&mut self, index: usize) {
         let mut seen = std::mem::take(&mut self.environments[index].seen);
         let now = &self.environments[index].now;
         self.rules.state(&self.motion(now), &mut seen);
-        let contacts = seen.len() - now.contact_forces.len();
-        seen[contacts..].copy_from_slice(&now.contact_forces);
         self.environments[index].seen = seen;
     }
 
@@ -281,7 +269,6 @@ impl RobotEnvironments {
             coordinates: &state.coordinates,
             reference: self.robot.reference(),
             velocities: &state.velocities,
-            contact_forces: &state.contact_forces,
         }
     }
 }

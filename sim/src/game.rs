@@ -156,7 +156,6 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
             position: episode.position,
             coordinates: episode.game.numbers(),
             velocities: Vec::new(),
-            contact_forces: Vec::new(),
             actions: Vec::new(),
         };
         Ok(state.to_bytes(&self.bounds.kind))
@@ -213,7 +212,6 @@ fn bounds<G: Game>() -> StateBounds {
         is_whole: G::IS_WHOLE,
         velocities: 0,
         fastest: 0.0,
-        contact_forces: 0,
         actions: 0,
         orientation: None,
     }

@@ -12,12 +12,11 @@ use proto::{FeatureRole, FeatureSpec};
 
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::robot::Robot;
-use crate::world::contact_forces::{PER_BODY, WORLD};
 
 /// Below this standard deviation, a vector is only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
 /// Names of a body's six contact features, in the order of the model.
-const CONTACT_NAMES: [&str; PER_BODY] =
+const CONTACT_NAMES: [&str; 6] =
     ["torque.x", "torque.y", "torque.z", "force.x", "force.y", "force.z"];
 
 /// The layout of a task's observations.
@@ -41,12 +40,11 @@ pub(crate) fn contact_features(robot: &Robot, forces: ContactForces) -> Vec<Feat
     if forces == ContactForces::Absent {
         return Vec::new();
     }
-    let of_body = |(index, body): (usize, &String)| {
-        let feels = forces == ContactForces::Real && index != WORLD;
-        let role = if feels { FeatureRole::Signal } else { FeatureRole::Constant };
+    let role = FeatureRole::Constant;
+    let of_body = |body: &String| {
         CONTACT_NAMES.map(|part| FeatureSpec { name: contact_name(body, part), role })
     };
-    robot.bodies().iter().enumerate().flat_map(of_body).collect()
+    robot.bodies().iter().flat_map(of_body).collect()
 }
 
 fn contact_name(body: &str, part: &str) -> String {

@@ -35,7 +35,7 @@ fn views() -> [ObservationConfig; 3] {
         contact_forces,
     };
     [
-        view(ObservationMode::FullId, ObservationNorm::FeatureZ, ContactForces::Real),
+        view(ObservationMode::FullId, ObservationNorm::FeatureZ, ContactForces::Zeros),
         view(ObservationMode::KNearest, ObservationNorm::None, ContactForces::Zeros),
         view(ObservationMode::FullId, ObservationNorm::None, ContactForces::Absent),
     ]

@@ -225,7 +225,6 @@ impl Robot {
             is_whole: false,
             velocities: self.layout.velocity_names.len(),
             fastest: layout::FASTEST,
-            contact_forces: 0,
             actions: 0,
             orientation: self.layout.orientation,
         }

@@ -14,9 +14,6 @@ const HEADER_BYTES: usize = 28;
 /// Version of the layout above.
 pub(crate) const STATE_VERSION: u32 = 1;
 
-/// Contact torques (N m) and forces (N) are clipped to plus and minus this value.
-pub(crate) const LARGEST_CONTACT_FORCE: f32 = 1.0;
-
 /// Largest action of the last step, as in trajectories: beyond it, a reward of the next step would not be finite.
 const LARGEST_ACTION: f32 = 1e9;
 
@@ -30,8 +27,6 @@ pub struct State {
     pub coordinates: Vec<f32>,
     /// Generalised velocities `[nv]`, m/s and rad/s, in the order of [`crate::Robot::velocity_names`].
     pub velocities: Vec<f32>,
-    /// Contact forces on each of the model's bodies in the last step, clipped, `[nc]`; empty unless observed.
-    pub contact_forces: Vec<f32>,
     /// Controls of the last step, not clamped, in the order of the joint action, `[na]`; 0 at the start, empty unless the task's reward reads them.
     pub actions: Vec<f32>,
 }
@@ -51,8 +46,6 @@ pub struct StateBounds {
     pub velocities: usize,
     /// Largest velocity, m/s or rad/s.
     pub fastest: f32,
-    /// Number of contact forces `nc`.
-    pub contact_forces: usize,
     /// Number of actions of the last step `na`.
     pub actions: usize,
     /// First coordinate of a unit quaternion, if the root is free.
@@ -63,8 +56,7 @@ impl State {
     /// Encodes the state.
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
         let EpisodePosition { episode, step, limit } = self.position;
-        let motion = || self.coordinates.iter().chain(&self.velocities);
-        let numbers = || motion().chain(&self.contact_forces).chain(&self.actions);
+        let numbers = || self.coordinates.iter().chain(&self.velocities).chain(&self.actions);
         let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count());
         bytes.extend_from_slice(MARK);
         bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
@@ -89,8 +81,7 @@ impl State {
         let numbers: Vec<f32> =
             bytes[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
         let (coordinates, rest) = numbers.split_at(bounds.coordinates.len());
-        let (velocities, rest) = rest.split_at(bounds.velocities);
-        let (contact_forces, actions) = rest.split_at(bounds.contact_forces);
+        let (velocities, actions) = rest.split_at(bounds.velocities);
         let state = Self {
             position: EpisodePosition {
                 episode: u64::from_le_bytes(array(&bytes[12..20])),
@@ -99,12 +90,10 @@ impl State {
             },
             coordinates: coordinates.to_vec(),
             velocities: velocities.to_vec(),
-            contact_forces: contact_forces.to_vec(),
             actions: actions.to_vec(),
         };
         bounds.check_position(state.position)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
-        check_all("contact force", &state.contact_forces, LARGEST_CONTACT_FORCE)?;
         check_all("action", &state.actions, LARGEST_ACTION)?;
         Ok(state)
     }
@@ -114,7 +103,7 @@ impl StateBounds {
     /// Encoded size in bytes.
     pub fn bytes(&self) -> usize {
         let motion = self.coordinates.len() + self.velocities;
-        HEADER_BYTES + 4 * (motion + self.contact_forces + self.actions)
+        HEADER_BYTES + 4 * (motion + self.actions)
     }
 
     /// Checks that all coordinates and velocities are finite and within bounds.

@@ -40,8 +40,6 @@ pub(crate) struct Motion<'a> {
     pub(crate) reference: &'a [f32],
     /// `[nv]`.
     pub(crate) velocities: &'a [f32],
-    /// Contact forces on the model's bodies, `[bodies, 6]`, clipped; empty unless they are observed.
-    pub(crate) contact_forces: &'a [f32],
 }
 
 impl Motion<'_> {

@@ -1,6 +1,5 @@
 //! One robot in one rapier world: rebuild, step, read.
 
-pub(crate) mod contact_forces;
 mod contact_law;
 mod diagnostics;
 mod hinge_drives;

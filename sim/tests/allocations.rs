@@ -12,7 +12,7 @@ fn stepping_a_slot_allocates_only_in_the_physics_engine() {
             "task": task,
             "observation": {
                 "mode": "full_id", "norm": "feature_z", "nearest": 1, "globals": "hidden",
-                "contact_forces": "real",
+                "contact_forces": "zeros",
             },
         }))
         .unwrap();

@@ -46,7 +46,7 @@ fn sent(messages: &[wire::TrajectoryChunk]) -> Vec<bool> {
 
 fn settings() -> Vec<ObservationConfig> {
     let norms = [ObservationNorm::None, ObservationNorm::Running, ObservationNorm::FeatureZ];
-    let forces = [ContactForces::Absent, ContactForces::Zeros, ContactForces::Real];
+    let forces = [ContactForces::Absent, ContactForces::Zeros];
     let views = [
         (ObservationMode::FullId, RootView::Shown),
         (ObservationMode::KNearest, RootView::Shown),

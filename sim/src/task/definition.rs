@@ -72,8 +72,6 @@ pub(crate) enum TermName {
     Alive,
     /// [`super::terms::control`]
     Control,
-    /// [`super::terms::contact`]
-    Contact,
     /// [`super::terms::target_distance`]
     TargetDistance,
     /// [`super::terms::upright`]
@@ -122,7 +120,7 @@ pub(crate) enum Noise {
     Normal(f32),
 }
 
-/// Features of the global state: coordinates, then velocities, then contact forces if they are observed.
+/// Features of the global state: coordinates, then velocities, then contact forces, which are 0.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct StateRow {
@@ -132,7 +130,7 @@ pub(crate) struct StateRow {
     pub(crate) largest_velocity: Option<f32>,
     /// Axes of a free root's angular velocity.
     pub(crate) angular_velocity: Axes,
-    /// Whether `observation.contact_forces` has an effect.
+    /// Whether the state may have features of contact forces, which `observation.contact_forces` selects.
     pub(crate) contact_forces: bool,
 }
 

@@ -76,11 +76,7 @@ impl Rules {
         if let Some(largest) = rules.largest_velocity {
             within("state.largest_velocity", largest, 1e-3, 1e6)?;
         }
-        let reads_contacts = rules.reward.reads_contacts() || rules.cost.reads_contacts();
-        match reads_contacts && !rules.contact_forces {
-            true => Err(refused("the term `contact` needs state.contact_forces = true")),
-            false => Ok(rules),
-        }
+        Ok(rules)
     }
 
     /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise. A

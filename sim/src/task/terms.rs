@@ -28,7 +28,6 @@ enum Term {
     ForwardSpeed { coordinate: usize },
     Alive,
     Control,
-    Contact,
     TargetDistance { target: Vec<(usize, f32)> },
     Upright { root: RootTilt },
     InRange { coordinate: usize, range: [f32; 2] },
@@ -58,12 +57,6 @@ pub(super) fn alive() -> f32 {
 /// `sum c^2` over the controls of all agents' motors before clamping, in squared units of control, as in MuJoCo's tasks.
 pub(super) fn control(step: &Transition<'_>) -> f32 {
     sum_of_squares(step.control)
-}
-
-/// `sum c^2` over the contact forces and torques on all bodies after the step, each clipped to 1, N^2 and (N m)^2. 0
-/// unless `observation.contact_forces` is `real`.
-pub(super) fn contact(step: &Transition<'_>) -> f32 {
-    sum_of_squares(step.after.contact_forces)
 }
 
 /// `sqrt(sum (q' - target)^2)` over the named coordinates: distance to the target after the step, m.
@@ -105,7 +98,6 @@ impl Term {
             Self::ForwardSpeed { coordinate } => forward_speed(step, *coordinate),
             Self::Alive => alive(),
             Self::Control => control(step),
-            Self::Contact => contact(step),
             Self::TargetDistance { target } => target_distance(step, target),
             Self::Upright { root } => upright(step, *root),
             Self::InRange { coordinate, range } => in_range(step, *coordinate, *range),
@@ -141,11 +133,6 @@ impl WeightedSum {
     pub(super) fn reads_last_action(&self) -> bool {
         self.0.iter().any(|(_, term)| matches!(term, Term::ActionRate))
     }
-
-    /// Whether a term reads contact forces.
-    pub(super) fn reads_contacts(&self) -> bool {
-        self.0.iter().any(|(_, term)| matches!(term, Term::Contact))
-    }
 }
 
 impl TermName {
@@ -154,7 +141,6 @@ impl TermName {
             Self::ForwardSpeed => "forward_speed",
             Self::Alive => "alive",
             Self::Control => "control",
-            Self::Contact => "contact",
             Self::TargetDistance => "target_distance",
             Self::Upright => "upright",
             Self::InRange => "in_range",
@@ -191,7 +177,6 @@ fn term(place: &str, row: &TermRow, robot: &Robot) -> Result<Term, SimError> {
         TermName::ForwardSpeed => Term::ForwardSpeed { coordinate: coordinate.unwrap_or(0) },
         TermName::Alive => Term::Alive,
         TermName::Control => Term::Control,
-        TermName::Contact => Term::Contact,
         TermName::TargetDistance => {
             let target = row.target.as_ref().ok_or_else(|| missing("target"))?;
             Term::TargetDistance { target: resolved_target(place, target, names)? }

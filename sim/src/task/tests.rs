@@ -325,7 +325,6 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
             "term = \"in_range\"",
             &["reward.in_range needs the key `coordinate`"],
         ),
-        ("term = \"alive\"", "term = \"contact\"", &["needs state.contact_forces = true"]),
         ("\"rootz\"", "\"rotz\"", &["healthy.coordinate", "`rotz`; did you mean `rootz`?"]),
         ("at_least = -0.5", "at_least = 1.0\nat_most = 0.5", &["healthy.rootz: the lower bound 1"]),
         ("at_least = -0.5", "", &["healthy.rootz needs a bound"]),
