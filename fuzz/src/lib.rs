@@ -1,15 +1,13 @@
 //! What a fuzz target and the inputs that it begins with must agree on.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot,
-};
+use policy::{ActorNetwork, ActorPolicy, CoreKind, Head, PolicyConfig, PolicySnapshot};
 use proto::{Digest, PolicyVersion, WeightsName};
 use recording::RecordedRun;
 use rollout::EvaluationEpisode;
 use sim::{
-    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm,
-    RootView, TaskConfig, TaskDefinition,
+    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm, RootView,
+    TaskConfig, TaskDefinition,
 };
 
 /// A robot of each kind, one of them with contact forces in its state, and the game; an input of `environment_state`
@@ -90,16 +88,11 @@ fn hopper() -> TaskConfig {
 #[must_use]
 pub fn small_policy(core: CoreKind, observation: usize, action: usize) -> ActorPolicy {
     let config = PolicyConfig {
-        core,
-        input_norm: InputNorm::LayerNorm,
         encoder: 4,
         hidden: 3,
         width: 4,
-        layers: 1,
         backpropagation_steps: 5,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 1.0,
+        ..policy::probe::config(core)
     };
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
     let network = ActorNetwork::new(&config, observation, action, Head::Gaussian, &mut rng);

@@ -44,9 +44,10 @@ impl Norm {
     #[inline(always)]
     fn centred<S: Simd>(&self, simd: S, x: &Line, group: usize, mean: S::Vector) -> S::Vector {
         let centred = simd.sub(simd.load(x), mean);
-        match group + 1 == self.weight.len() {
-            true => simd.mul(centred, simd.load(&self.mask)),
-            false => centred,
+        if group + 1 == self.weight.len() {
+            simd.mul(centred, simd.load(&self.mask))
+        } else {
+            centred
         }
     }
 

@@ -241,9 +241,10 @@ unsafe fn tile<S: Simd, const M: usize, const N: usize>(
                 if product.relu {
                     sum = simd.at_least(simd.splat(0.0), sum);
                 }
-                match whole {
-                    true => simd.store_pointer(sum, result.add(m * stride + n * LANES)),
-                    false => store_part(simd, sum, result.add(m * stride), width),
+                if whole {
+                    simd.store_pointer(sum, result.add(m * stride + n * LANES))
+                } else {
+                    store_part(simd, sum, result.add(m * stride), width)
                 }
             }
         }

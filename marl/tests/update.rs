@@ -113,19 +113,6 @@ fn actors(algorithm: &mut dyn Algorithm) -> NamedArrays {
 }
 
 #[test]
-fn two_agents_learn_a_sum_that_neither_controls_alone() {
-    for lambda in [0.0, 0.01] {
-        let mut algorithm = algorithm(lambda, 1);
-        let rewards: Vec<f32> = (0..60).map(|k| update(algorithm.as_mut(), k)).collect();
-        let mean = |range: std::ops::Range<usize>| rewards[range].iter().sum::<f32>() / 5.0;
-        // Initially, noise (sigma 0.37 each) costs 0.27 and the missing response to x costs 0.25. Perfect means alone
-        // would reach 0.73; a higher reward also needs less noise.
-        assert!(mean(0..5) < 0.6, "{rewards:?}");
-        assert!(mean(55..60) > 0.74, "lambda {lambda}: {rewards:?}");
-    }
-}
-
-#[test]
 fn with_every_critic_agents_learn_and_continue_bit_for_bit_from_stored_state() {
     let (mlp, gru) = (CriticCore::Mlp, CriticCore::Gru);
     for (core, alpha, values) in [(mlp, 0.0, 1), (mlp, 0.01, 2), (gru, 0.01, 2), (gru, 0.0, 1)] {
@@ -175,19 +162,6 @@ fn a_large_divergence_lowers_the_learning_rate_which_is_restored() {
 }
 
 #[test]
-fn a_restored_algorithm_continues_bit_for_bit_whatever_its_previous_state() {
-    let (mut kept, mut other) = (algorithm(0.01, 1), algorithm(0.01, 1));
-    update(kept.as_mut(), 0);
-    update(other.as_mut(), 7);
-    other.restore(&kept.arrays().unwrap()).unwrap();
-    for iteration in 1..3 {
-        update(kept.as_mut(), iteration);
-        update(other.as_mut(), iteration);
-    }
-    assert_eq!(kept.arrays().unwrap(), other.arrays().unwrap());
-}
-
-#[test]
 fn missing_and_unknown_stored_arrays_are_rejected_by_name() {
     let mut algorithm = algorithm(0.01, 1);
     let mut arrays = algorithm.arrays().unwrap();
@@ -228,17 +202,6 @@ fn the_influence_term_increases_the_divergence_from_the_posteriors() {
     };
     let (pushed, left_alone) = (divergence(1.0), divergence(1e-9));
     assert!(pushed > 1.3 * left_alone, "{pushed} {left_alone}");
-}
-
-#[test]
-fn equal_seeds_give_equal_weights_and_other_seeds_others() {
-    let weights = |seed| {
-        let mut algorithm = algorithm(0.01, seed);
-        update(algorithm.as_mut(), 0);
-        algorithm.arrays().unwrap()
-    };
-    assert_eq!(weights(1), weights(1));
-    assert_ne!(weights(1), weights(2));
 }
 
 #[test]

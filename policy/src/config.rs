@@ -102,18 +102,12 @@ impl PolicyConfig {
 mod tests {
     use super::*;
 
-    pub(crate) fn valid() -> PolicyConfig {
+    fn valid() -> PolicyConfig {
         PolicyConfig {
-            core: CoreKind::Gru,
-            input_norm: InputNorm::LayerNorm,
-            encoder: 64,
-            hidden: 64,
             width: 128,
             layers: 3,
-            backpropagation_steps: 10,
-            sigma_scale: 0.5,
-            sigma_floor: 0.05,
             head_gain: 0.01,
+            ..crate::probe::config(CoreKind::Gru)
         }
     }
 

@@ -82,12 +82,10 @@ impl Head {
             }
             Self::Uniform { low, high } => range(low, high),
         };
-        match holds {
-            true => Ok(()),
-            false => Err(PolicyError::Snapshot(format!(
-                "{self:?} is invalid for {action} action values"
-            ))),
+        if holds {
+            return Ok(());
         }
+        Err(PolicyError::Snapshot(format!("{self:?} is invalid for {action} action values")))
     }
 
     /// Scales the network's output `[act]` to the mean action.

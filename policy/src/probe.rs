@@ -52,7 +52,14 @@ fn act(policy: &ActorPolicy, hash: &mut Sha256) {
 }
 
 fn fixed_policy(core: CoreKind, head: Head, action: usize) -> Result<ActorPolicy, PolicyError> {
-    let config = PolicyConfig {
+    let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe));
+    ActorNetwork::new(&config(core), OBSERVATION, action, head, &mut rng)?.policy()
+}
+
+/// Settings of the probe's policies, from which tests derive theirs.
+#[must_use]
+pub fn config(core: CoreKind) -> PolicyConfig {
+    PolicyConfig {
         core,
         input_norm: InputNorm::LayerNorm,
         encoder: 64,
@@ -63,9 +70,7 @@ fn fixed_policy(core: CoreKind, head: Head, action: usize) -> Result<ActorPolicy
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,
-    };
-    let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe));
-    ActorNetwork::new(&config, OBSERVATION, action, head, &mut rng)?.policy()
+    }
 }
 
 #[cfg(test)]

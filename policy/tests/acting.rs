@@ -1,35 +1,36 @@
 //! Acting agrees with training, and a row's bits do not depend on the other rows.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 use policy::ops::Backward;
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{
-    ActorNetwork, ActorPolicy, CoreKind, Distribution, Gaussian, Head, InputNorm, PolicyConfig,
-    Scratch, SequenceInput, gaussian,
+    ActorNetwork, ActorPolicy, CoreKind, Distribution, Head, PolicyConfig, Scratch, SequenceInput,
+    probe,
 };
 
 const OBSERVATION: usize = 23;
-const ACTION: usize = 2;
+const CHOICES: Head = Head::Categorical { choices: 5 };
 
-fn config(core: CoreKind) -> PolicyConfig {
-    PolicyConfig {
-        core,
-        input_norm: InputNorm::LayerNorm,
+fn network_of(core: CoreKind, head: Head, seed: u64) -> ActorNetwork {
+    let config = PolicyConfig {
         encoder: 32,
         hidden: 24,
         width: 40,
         layers: 2,
         backpropagation_steps: 5,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 1.0,
-    }
+        ..probe::config(core)
+    };
+    let mut rng = generator(RunSeed(seed), Draw::of(Purpose::Initialisation));
+    let action = if head == Head::Gaussian { 2 } else { 1 };
+    ActorNetwork::new(&config, OBSERVATION, action, head, &mut rng).unwrap()
 }
 
-fn network(core: CoreKind) -> ActorNetwork {
-    let mut rng = generator(RunSeed(11), Draw::of(Purpose::Initialisation));
-    ActorNetwork::new(&config(core), OBSERVATION, ACTION, Head::Gaussian, &mut rng).unwrap()
+/// Both cores, each with continuous actions and with choices.
+fn networks() -> Vec<ActorNetwork> {
+    let cores = [CoreKind::Gru, CoreKind::Mlp];
+    let both = |core| [Head::Gaussian, CHOICES].map(|head| network_of(core, head, 11));
+    cores.into_iter().flat_map(both).collect()
 }
 
 fn normals(seed: u64, count: usize) -> Vec<f32> {
@@ -37,121 +38,116 @@ fn normals(seed: u64, count: usize) -> Vec<f32> {
     (0..count).map(|_| standard_normal(&mut rng)).collect()
 }
 
-/// The distribution of a network with a Gaussian head.
-fn gaussian_of(network: &ActorNetwork, input: &SequenceInput) -> Gaussian {
-    match network.distribution(&network.weights().unwrap(), input).unwrap() {
-        Distribution::Gaussian(gaussian) => gaussian,
-        Distribution::Categorical(_) => panic!("a categorical head"),
+fn tensor(data: &[f32], shape: (usize, usize)) -> Tensor {
+    Tensor::from_slice(data, shape, &Device::Cpu).unwrap()
+}
+
+/// Sequences whose states start at 1/4.
+fn input(network: &ActorNetwork, observation: &[f32], mask: &[f32], count: usize) -> SequenceInput {
+    let width = network.hidden_size().max(1);
+    SequenceInput {
+        observation: tensor(observation, (mask.len(), OBSERVATION)),
+        hidden: tensor(&vec![0.25; count * width], (count, width)),
+        mask: tensor(mask, (mask.len() / count, count)),
     }
 }
 
-/// Steps `policy` through `[T, B, obs]`, resetting where the mask is 0: means `[T, B, act]`.
+/// Means and standard deviations, or logits.
+fn trained(network: &ActorNetwork, input: &SequenceInput) -> (Tensor, Option<Tensor>) {
+    match network.distribution(&network.weights().unwrap(), input).unwrap() {
+        Distribution::Gaussian(gaussian) => (gaussian.mean, Some(gaussian.sigma)),
+        Distribution::Categorical(categorical) => (categorical.logits, None),
+    }
+}
+
+/// Steps `policy` through `[T, B, obs]`, resetting where the mask is 0: outputs `[T, B, out]`.
 fn act(policy: &ActorPolicy, observation: &[f32], mask: &[f32], sequences: usize) -> Vec<f32> {
-    let hidden_size = policy.hidden_size();
+    let (hidden_size, width) = (policy.hidden_size(), policy.output_size());
     let mut hidden = vec![0.25; sequences * hidden_size];
-    let mut means = vec![0.0; observation.len() / OBSERVATION * ACTION];
+    let mut outputs = vec![0.0; mask.len() * width];
     let mut scratch = Scratch::default();
     let steps = mask.chunks_exact(sequences).zip(observation.chunks_exact(sequences * OBSERVATION));
-    for ((mask, observation), mean) in steps.zip(means.chunks_exact_mut(sequences * ACTION)) {
+    for ((mask, observation), output) in steps.zip(outputs.chunks_exact_mut(sequences * width)) {
         for (row, &keep) in mask.iter().enumerate() {
             let state = &mut hidden[row * hidden_size..(row + 1) * hidden_size];
             state.iter_mut().for_each(|h| *h *= keep);
         }
-        policy.forward(sequences, observation, &mut hidden, mean, &mut scratch);
+        policy.forward(sequences, observation, &mut hidden, output, &mut scratch);
     }
-    means
+    outputs
 }
 
 #[test]
-fn acting_step_by_step_gives_the_bits_of_the_training_networks_log_probs() {
+fn acting_step_by_step_gives_the_bits_of_the_training_network() {
     let (steps, sequences) = (20, 6);
     let rows = steps * sequences;
     let observation = normals(1, rows * OBSERVATION);
     let mut mask = vec![1.0; rows];
     (mask[8], mask[50], mask[51]) = (0.0, 0.0, 0.0);
-    for core in [CoreKind::Gru, CoreKind::Mlp] {
-        let network = network(core);
+    for network in networks() {
         let policy = network.policy().unwrap();
-        let hidden =
-            Tensor::full(0.25_f32, (sequences, network.hidden_size().max(1)), &Device::Cpu)
-                .unwrap();
-        let tensor = |data: &[f32], shape: (usize, usize)| {
-            Tensor::from_slice(data, shape, &Device::Cpu).unwrap()
-        };
-        let input = SequenceInput {
-            observation: tensor(&observation, (rows, OBSERVATION)),
-            hidden,
-            mask: tensor(&mask, (steps, sequences)),
-        };
-        let trained = gaussian_of(&network, &input);
-        let (mean, sigma) = (
-            trained.mean.flatten_all().unwrap().to_vec1::<f32>().unwrap(),
-            trained.sigma.to_vec1::<f32>().unwrap(),
-        );
+        let (output, sigma) = trained(&network, &input(&network, &observation, &mask, sequences));
+        let sigma = sigma.map_or(Vec::new(), |sigma| sigma.to_vec1::<f32>().unwrap());
         assert_eq!(sigma, policy.sigma());
-        let acted = act(&policy, &observation, &mask, sequences);
-        let actions = normals(2, rows * ACTION);
-        for row in 0..rows {
-            let of = row * ACTION..(row + 1) * ACTION;
-            let one = gaussian::log_prob(&acted[of.clone()], &sigma, &actions[of.clone()]);
-            let two = gaussian::log_prob(&mean[of.clone()], &sigma, &actions[of]);
-            assert_eq!(one, two, "{core:?} row {row}");
-        }
+        let output = output.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(act(&policy, &observation, &mask, sequences), output, "{:?}", policy.spec());
     }
 }
 
 #[test]
-fn a_row_has_the_same_bits_in_every_batch() {
-    for core in [CoreKind::Gru, CoreKind::Mlp] {
-        let policy = network(core).policy().unwrap();
-        let hidden_size = policy.hidden_size();
+fn a_row_has_the_same_bits_and_the_same_action_in_every_batch() {
+    for network in networks() {
+        let policy = network.policy().unwrap();
+        let (hidden_size, width) = (policy.hidden_size(), policy.output_size());
         let (observation, state) = (normals(3, 64 * OBSERVATION), normals(4, 64 * hidden_size));
-        let run = |from: usize, to: usize| {
-            let mut hidden = state[from * hidden_size..to * hidden_size].to_vec();
-            let mut mean = vec![0.0; (to - from) * ACTION];
-            let rows = &observation[from * OBSERVATION..to * OBSERVATION];
-            policy.forward(to - from, rows, &mut hidden, &mut mean, &mut Scratch::default());
-            (mean, hidden)
+        let run = |from: usize| {
+            let mut hidden = state[from * hidden_size..].to_vec();
+            let mut output = vec![0.0; (64 - from) * width];
+            let seen = &observation[from * OBSERVATION..];
+            policy.forward(64 - from, seen, &mut hidden, &mut output, &mut Scratch::default());
+            let draw = |(row, output): (usize, &[f32])| {
+                let key = Draw::of(Purpose::Action).environment((from + row) as u32);
+                let mut action = vec![0.0; policy.action_size()];
+                policy.draw(output, &mut generator(RunSeed(4), key), &mut action);
+                action
+            };
+            let actions = output.chunks_exact(width).enumerate().map(draw).collect::<Vec<_>>();
+            (output, hidden, actions)
         };
-        let (mean, hidden) = run(0, 64);
-        for rows in 1..=64 {
-            let (part, part_hidden) = run(64 - rows, 64);
-            assert_eq!(part, mean[(64 - rows) * ACTION..], "{core:?}: {rows} rows");
-            assert_eq!(part_hidden, hidden[(64 - rows) * hidden_size..]);
+        let (output, hidden, actions) = run(0);
+        assert!(actions.iter().any(|action| *action != actions[0]));
+        for from in 1..64 {
+            let part = run(from);
+            assert_eq!(part.0, output[from * width..], "{} rows", 64 - from);
+            assert_eq!(part.1, hidden[from * hidden_size..]);
+            assert_eq!(part.2, actions[from..]);
         }
     }
 }
 
 #[test]
-fn every_parameter_has_a_gradient() {
-    for core in [CoreKind::Gru, CoreKind::Mlp] {
-        let network = network(core);
-        let input = SequenceInput {
-            observation: Tensor::from_vec(
-                normals(5, 12 * OBSERVATION),
-                (12, OBSERVATION),
-                &Device::Cpu,
-            )
-            .unwrap(),
-            hidden: Tensor::zeros((3, network.hidden_size().max(1)), DType::F32, &Device::Cpu)
-                .unwrap(),
-            mask: Tensor::ones((4, 3), DType::F32, &Device::Cpu).unwrap(),
-        };
-        let head = gaussian_of(&network, &input);
-        let loss = (head.mean.sqr().unwrap().sum_all().unwrap()
-            + head.sigma.log().unwrap().sum_all().unwrap())
-        .unwrap();
+fn every_parameter_has_a_gradient_and_choices_have_no_deviation() {
+    for network in networks() {
+        let input = input(&network, &normals(5, 12 * OBSERVATION), &[1.0; 12], 3);
+        let (output, sigma) = trained(&network, &input);
+        let mut loss = output.sqr().unwrap().sum_all().unwrap();
+        if let Some(sigma) = &sigma {
+            loss = (loss + sigma.log().unwrap().sum_all().unwrap()).unwrap();
+        }
         let gradients = Backward::from(&loss).unwrap();
         for (index, var) in network.parameters().vars().iter().enumerate() {
             let name = network.parameters().name_of(index);
             assert!(gradients.by(var).unwrap().is_some(), "{name} has no gradient");
         }
+        let spans = network.parameters().spans();
+        assert_eq!(spans.iter().any(|span| span.name == "head.log_std"), sigma.is_some());
+        network.project().unwrap();
     }
 }
 
 #[test]
 fn projection_holds_sigma_at_its_floor_and_leaves_the_rest_alone() {
-    let network = network(CoreKind::Gru);
+    let network = network_of(CoreKind::Gru, Head::Gaussian, 11);
     let before = network.policy().unwrap().sigma().to_vec();
     network.project().unwrap();
     assert_eq!(network.policy().unwrap().sigma(), before);
@@ -167,15 +163,7 @@ fn projection_holds_sigma_at_its_floor_and_leaves_the_rest_alone() {
 #[test]
 fn the_same_draw_gives_the_same_network_and_another_draw_another() {
     let bits = |seed: u64| {
-        let mut rng = generator(RunSeed(seed), Draw::of(Purpose::Initialisation));
-        let network = ActorNetwork::new(
-            &config(CoreKind::Gru),
-            OBSERVATION,
-            ACTION,
-            Head::Gaussian,
-            &mut rng,
-        )
-        .unwrap();
+        let network = network_of(CoreKind::Gru, Head::Gaussian, seed);
         policy::arrays::sha256(&network.parameters().to_arrays().unwrap())
     };
     assert_eq!(bits(1), bits(1));

@@ -6,28 +6,16 @@ use std::collections::BTreeMap;
 use policy::arrays::{Array, from_safetensors, to_safetensors};
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::snapshot::{Repeat, repeats};
-use policy::{ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot, Scratch};
+use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot, Scratch, probe};
 
-fn config() -> PolicyConfig {
-    PolicyConfig {
-        core: CoreKind::Gru,
-        input_norm: InputNorm::LayerNorm,
-        encoder: 4,
-        hidden: 3,
-        width: 4,
-        layers: 1,
-        backpropagation_steps: 5,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 1.0,
-    }
+fn config(core: CoreKind) -> PolicyConfig {
+    PolicyConfig { encoder: 4, hidden: 3, width: 4, ..probe::config(core) }
 }
 
 fn snapshot() -> PolicySnapshot {
     let agent = |(index, core): (usize, CoreKind)| {
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation).agent(index as u32));
-        let config = PolicyConfig { core, ..config() };
-        ActorNetwork::new(&config, 5 + index, 1 + index, Head::Gaussian, &mut rng)
+        ActorNetwork::new(&config(core), 5 + index, 1 + index, Head::Gaussian, &mut rng)
             .unwrap()
             .policy()
             .unwrap()
@@ -72,8 +60,7 @@ fn a_later_agent_with_the_first_ones_network_repeats_its_bytes() {
 fn the_snapshot_says_how_to_act_and_a_deterministic_actor_has_no_deviations_to_learn() {
     let head = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
-    let config = PolicyConfig { core: CoreKind::Mlp, ..config() };
-    let network = ActorNetwork::new(&config, 5, 2, head, &mut rng).unwrap();
+    let network = ActorNetwork::new(&config(CoreKind::Mlp), 5, 2, head, &mut rng).unwrap();
     let exploring = network.policy().unwrap();
     let warming_up = exploring.clone().uniform();
     assert!(!exploring.arrays().contains_key("head.log_std"));
@@ -89,6 +76,32 @@ fn the_snapshot_says_how_to_act_and_a_deterministic_actor_has_no_deviations_to_l
     assert_eq!(mean(&back.agents[0]), mean(&exploring));
     assert_eq!(mean(&back.agents[1]), mean(&exploring));
     assert_eq!(exploring.sigma(), [0.1, 0.1]);
+}
+
+#[test]
+fn a_categorical_head_is_named_after_a_round_trip_and_settles_on_the_likeliest_choice() {
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
+    let head = Head::Categorical { choices: 5 };
+    let network = ActorNetwork::new(&config(CoreKind::Gru), 5, 1, head, &mut rng).unwrap();
+    let bytes = PolicySnapshot { agents: vec![network.policy().unwrap()] }.to_bytes().unwrap();
+    let back = PolicySnapshot::from_bytes(&bytes).unwrap();
+    assert_eq!(back.to_bytes().unwrap(), bytes);
+    let agent = &back.agents[0];
+    assert_eq!((agent.head(), agent.action_size(), agent.sigma().len()), (head, 1, 0));
+    let mut action = [9.0];
+    agent.mode(&[0.1, -2.0, 0.7, 0.7, 0.2], &mut action);
+    assert_eq!(action, [2.0]);
+}
+
+#[test]
+fn a_gaussian_snapshot_names_no_head_and_a_head_that_does_not_fit_is_refused() {
+    let bytes = snapshot().to_bytes().unwrap();
+    assert!(!String::from_utf8_lossy(&bytes).contains("gaussian"));
+    for (action, choices) in [(2, 3), (1, 0)] {
+        let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
+        let head = Head::Categorical { choices };
+        assert!(ActorNetwork::new(&config(CoreKind::Mlp), 3, action, head, &mut rng).is_err());
+    }
 }
 
 #[test]

@@ -27,9 +27,10 @@ pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (
         return free;
     }
     let clipped = huber(old + change.clamp(-clip, clip) - target, delta);
-    match clipped.0 > free.0 {
-        true => (clipped.0, if change.abs() <= clip { clipped.1 } else { 0.0 }),
-        false => free,
+    if clipped.0 > free.0 {
+        (clipped.0, if change.abs() <= clip { clipped.1 } else { 0.0 })
+    } else {
+        free
     }
 }
 

@@ -102,9 +102,12 @@ impl Unrolled {
         let (count, rows) = (batch.environments, batch.rows());
         assert_shape("states", states.len() * count, start.len() * rows);
         let width = start.len() / count;
-        let after = |row: usize| match batch.done(row) {
-            true => vec![0.0; width],
-            false => states[row * width..(row + 1) * width].to_vec(),
+        let after = |row: usize| {
+            if batch.done(row) {
+                vec![0.0; width]
+            } else {
+                states[row * width..(row + 1) * width].to_vec()
+            }
         };
         let mut starts = start.to_vec();
         for chunk in count..layout.chunks {

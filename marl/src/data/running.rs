@@ -11,7 +11,7 @@ const SMALLEST_DEVIATION: f64 = 1e-6;
 
 /// Moments of features, merged once per iteration.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RunningMoments {
+pub(crate) struct RunningMoments {
     /// Number of rows.
     count: f64,
     mean: Vec<f64>,
@@ -21,14 +21,13 @@ pub struct RunningMoments {
 
 impl RunningMoments {
     /// Moments of `features` features without rows.
-    #[must_use]
-    pub fn new(features: usize) -> Self {
+    pub(crate) fn new(features: usize) -> Self {
         Self { count: 0.0, mean: vec![0.0; features], squares: vec![0.0; features] }
     }
 
     /// Adds `rows` `[R, features]`. Chan's merge of `n_a` with `n_b` rows whose means differ by `d`:
     /// `mean = mean_a + d n_b / n`, `squares = squares_a + squares_b + d^2 n_a n_b / n`. Sums are in the order of rows.
-    pub fn take_in(&mut self, rows: &[f32]) {
+    pub(crate) fn take_in(&mut self, rows: &[f32]) {
         let features = self.mean.len();
         let (before, new) = (self.count, (rows.len() / features) as f64);
         if new == 0.0 {
@@ -47,8 +46,7 @@ impl RunningMoments {
 
     /// Standardisation to mean 0 and standard deviation 1. A feature that never varied, such as an agent's index, is
     /// not changed; before the first rows this holds for all.
-    #[must_use]
-    pub fn standardisation(&self) -> Standardisation {
+    pub(crate) fn standardisation(&self) -> Standardisation {
         let rows = self.count.max(1.0);
         let one = |(&mean, &squares): (&f64, &f64)| match sqrt(squares / rows) {
             deviation if deviation > SMALLEST_DEVIATION => (mean as f32, (1.0 / deviation) as f32),
@@ -73,7 +71,6 @@ impl RunningMoments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{restored, saved};
 
     /// Two features. The second never varies.
     fn moments(iterations: &[&[f32]]) -> RunningMoments {
@@ -97,16 +94,5 @@ mod tests {
         assert_eq!(rows, [2.0, 0.5]);
         moments(&[]).standardisation().apply(&mut rows);
         assert_eq!(rows, [2.0, 0.5]);
-    }
-
-    #[test]
-    fn stored_moments_are_restored_and_other_sizes_rejected_by_name() {
-        let (mut known, mut other) = (moments(&[&[1.0, 0.5, 3.0, 0.5]]), RunningMoments::new(2));
-        let arrays = saved("", |visitor| known.visit("a.", visitor)).unwrap();
-        restored(&arrays, |visitor| other.visit("a.", visitor)).unwrap();
-        assert_eq!(other, known);
-        let mut wider = RunningMoments::new(3);
-        let error = restored(&arrays, |visitor| wider.visit("a.", visitor)).unwrap_err();
-        assert!(error.to_string().contains("a.mean"), "{error}");
     }
 }

@@ -51,7 +51,7 @@ pub(super) const CONFIG: VaeConfig =
 
 /// `q(z | o)` and `p(o | z)`: Linear, tanh, Linear each, with diagonal Gaussians. The decoder's standard deviations are
 /// separate parameters.
-pub struct Vae {
+pub(crate) struct Vae {
     epochs: usize,
     minibatches: usize,
     latent: usize,
@@ -134,9 +134,8 @@ impl Vae {
 
     /// Input of the networks, `[R, S]`. Features that are left out are 0.
     fn inputs(&self, observations: Observations<'_>) -> Vec<f32> {
-        let feature = |row, i| match self.moments.active[i] {
-            true => self.moments.standard(row, i) as f32,
-            false => 0.0,
+        let feature = |row, i| {
+            if self.moments.active[i] { self.moments.standard(row, i) as f32 } else { 0.0 }
         };
         let signals = 0..self.moments.signals();
         observations.rows().flat_map(|row| signals.clone().map(move |i| feature(row, i))).collect()

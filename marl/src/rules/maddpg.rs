@@ -127,9 +127,10 @@ impl Algorithm for Maddpg {
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
         let agents = self.agents.iter().map(Agent::policy).collect::<Result<Vec<_>, _>>()?;
         let warming_up = self.replay.rows_added() < self.config.warm_up;
-        let agents = match warming_up {
-            true => agents.into_iter().map(policy::ActorPolicy::uniform).collect(),
-            false => agents,
+        let agents = if warming_up {
+            agents.into_iter().map(policy::ActorPolicy::uniform).collect()
+        } else {
+            agents
         };
         Ok(PolicySnapshot { agents })
     }

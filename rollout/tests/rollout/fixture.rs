@@ -1,7 +1,7 @@
 //! A small real task and policies for it, also for the tests of other crates.
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, CoreKind, Head, InputNorm, PolicyConfig, PolicySnapshot};
+use policy::{ActorNetwork, CoreKind, Head, PolicyConfig, PolicySnapshot};
 use sim::{
     ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm, RootView,
     TaskConfig,
@@ -35,16 +35,11 @@ pub(crate) fn policy() -> PolicySnapshot {
 
 pub(crate) fn policy_for(description: &proto::EnvironmentSpec) -> PolicySnapshot {
     let config = PolicyConfig {
-        core: CoreKind::Gru,
-        input_norm: InputNorm::LayerNorm,
         encoder: 8,
         hidden: HIDDEN,
         width: 8,
-        layers: 1,
         backpropagation_steps: HIDDEN_EVERY as usize,
-        sigma_scale: 0.5,
-        sigma_floor: 0.05,
-        head_gain: 1.0,
+        ..policy::probe::config(CoreKind::Gru)
     };
     let agent = |(index, shape): (usize, &proto::AgentSpec)| {
         let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index as u32));

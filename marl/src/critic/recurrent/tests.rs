@@ -348,31 +348,3 @@ fn only_a_recurrent_critic_explains_returns_that_need_memory() {
     // A cue is visible in one step of three.
     assert!(gru > 0.8 && mlp < 0.45, "gru {gru}, mlp {mlp}");
 }
-
-#[test]
-fn a_restored_critic_continues_bit_for_bit_with_its_memory() {
-    let config = CriticConfig { state_norm: StateNorm::Running, ..config() };
-    let mut kept = critic(&config);
-    let step = |critic: &mut Critic, number: u32| {
-        let batch = rollout(number, STEPS, &ENDS);
-        let values = values(critic, &batch);
-        critic.carry(&values);
-        let returns = vec![vec![0.5; batch.rows()], (0..batch.rows()).map(|r| r as f64).collect()];
-        critic.fit(&batch, &values, &returns, u64::from(number)).unwrap();
-        values
-    };
-    step(&mut kept, 0);
-    let stored = arrays(&mut kept);
-    let mut other = critic(&config);
-    step(&mut other, 7);
-    restore(&mut other, &stored).unwrap();
-    assert_eq!(step(&mut kept, 1), step(&mut other, 1));
-    assert_eq!(arrays(&mut kept), arrays(&mut other));
-    let forgetful = Array::F32 { shape: vec![0, WIDTH], data: vec![] };
-    let mut without = stored;
-    without.insert("memory/critic.hidden".to_owned(), forgetful);
-    let mut other = critic(&config);
-    restore(&mut other, &without).unwrap();
-    step(&mut other, 1);
-    assert_ne!(arrays(&mut kept), arrays(&mut other));
-}

@@ -1,12 +1,10 @@
 //! Posteriors of actions with mutual information known in closed form.
 
-use policy::NamedArrays;
 use policy::randomness::standard_normal;
 
 use super::*;
 use crate::config::{Estimator, QTraining};
 use crate::influence::mutual_information;
-use crate::state::{restored, saved};
 
 const ROWS: usize = 20_000;
 const SIGMA: f64 = 0.3;
@@ -123,29 +121,6 @@ fn the_information_of_choices_that_mostly_agree_is_estimated_to_a_fiftieth_of_a_
     let found = information(&posterior, &data);
     let truth = libm::log(3.0) + 0.8 * libm::log(0.8) + 0.2 * libm::log(0.1);
     assert!((found - truth).abs() < 0.02, "{found}, truth {truth}");
-}
-
-fn arrays(posterior: &mut Posterior) -> NamedArrays {
-    saved("", |visitor| posterior.visit(0, visitor)).unwrap()
-}
-
-#[test]
-fn a_restored_posterior_continues_like_the_stored_one() {
-    let (action, others) = actions(0.8);
-    let features = features();
-    let data =
-        Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
-    let all: Vec<usize> = (0..ROWS).collect();
-    let fit = |posterior: &mut Posterior, iteration| {
-        let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration);
-        posterior.fit(&data, &all, &[], (RunSeed(3), draw)).unwrap();
-    };
-    let (mut kept, mut other) = (posterior(), posterior());
-    fit(&mut kept, 0);
-    restored(&arrays(&mut kept), |visitor| other.visit(0, visitor)).unwrap();
-    fit(&mut kept, 1);
-    fit(&mut other, 1);
-    assert_eq!(arrays(&mut kept), arrays(&mut other));
 }
 
 #[test]
