@@ -1,6 +1,6 @@
 //! The rollout data `D_k`: batches, chunked sequences, and scaling of observations.
 
-pub mod batch;
-pub mod observation;
-pub mod running;
-pub mod sequence;
+pub(crate) mod batch;
+pub(crate) mod observation;
+pub(crate) mod running;
+pub(crate) mod sequence;

@@ -1,11 +1,11 @@
 //! Densities of one agent's observations (Eq. 2), which define surprise.
 
-pub mod categorical;
-pub mod diagonal_gaussian;
+pub(crate) mod categorical;
+pub(crate) mod diagonal_gaussian;
 mod moments;
 #[cfg(test)]
 mod tests;
-pub mod vae;
+pub(crate) mod vae;
 
 use policy::randomness::RunSeed;
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use moments::Moments;
 
 /// Observations of one agent.
 #[derive(Clone, Copy, Debug)]
-pub struct Observations<'a> {
+pub(crate) struct Observations<'a> {
     /// Values, row-major, `[R, width]`.
     pub data: &'a [f32],
     /// Features per row, including those that are not scored.
@@ -28,7 +28,7 @@ pub struct Observations<'a> {
 
 impl<'a> Observations<'a> {
     /// All rows.
-    pub fn rows(self) -> impl ExactSizeIterator<Item = &'a [f32]> {
+    pub(crate) fn rows(self) -> impl ExactSizeIterator<Item = &'a [f32]> {
         self.data.chunks_exact(self.width)
     }
 
@@ -36,15 +36,14 @@ impl<'a> Observations<'a> {
     ///
     /// # Panics
     /// If the values are not whole rows.
-    #[must_use]
-    pub fn count(self) -> usize {
+    pub(crate) fn count(self) -> usize {
         let rows = self.data.len() / self.width;
         assert_shape("observations", self.data.len(), rows * self.width);
         rows
     }
 
     /// Values of one feature in all rows.
-    pub fn column(self, feature: usize) -> impl Iterator<Item = f32> + 'a {
+    pub(crate) fn column(self, feature: usize) -> impl Iterator<Item = f32> + 'a {
         self.data.iter().skip(feature).step_by(self.width).copied()
     }
 
@@ -58,7 +57,7 @@ impl<'a> Observations<'a> {
 
 /// Key of the random draws of a fit or a query.
 #[derive(Clone, Copy, Debug)]
-pub struct DensityContext {
+pub(crate) struct DensityContext {
     /// The run's seed.
     pub seed: RunSeed,
     /// Iteration of the observations.
@@ -68,7 +67,7 @@ pub struct DensityContext {
 }
 
 /// A density `p_theta` over one agent's observations.
-pub trait Density: Send + Sync {
+pub(crate) trait Density: Send + Sync {
     /// Fits `theta` to the observations by maximum likelihood, or by an approximation of it.
     ///
     /// # Errors
@@ -105,7 +104,7 @@ pub trait Density: Send + Sync {
 ///
 /// # Errors
 /// If a tensor operation fails.
-pub fn build(
+pub(crate) fn build(
     kind: DensityKind,
     signal: &[usize],
     (seed, agent): (RunSeed, u32),

@@ -7,18 +7,18 @@
 
 pub mod config;
 pub mod critic;
-pub mod data;
-pub mod density;
+mod data;
+mod density;
 pub mod distribution;
 pub mod error;
 pub mod influence;
 pub mod objective;
-pub mod optimisation;
+mod optimisation;
 mod rounding;
-pub mod rules;
+mod rules;
 mod shape;
 pub mod state;
-pub mod surprise;
+mod surprise;
 
 pub use config::{
     Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,

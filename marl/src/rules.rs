@@ -1,6 +1,6 @@
 //! The learning rules, and the function that builds the configured one.
 
-pub mod algorithm;
+pub(crate) mod algorithm;
 mod happo;
 mod maddpg;
 mod mappo;

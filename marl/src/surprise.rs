@@ -20,14 +20,12 @@ use crate::surprise::agent::AgentSurprise;
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`; the right-hand side per step: minus the mean log-density of
 /// the visited rows, `[R]`, nats. It bounds their entropy from above, with equality where `p_theta` is the true
 /// density.
-#[must_use]
-pub fn entropy_bound(log_prob: &[f64]) -> f64 {
+pub(crate) fn entropy_bound(log_prob: &[f64]) -> f64 {
     -log_prob.iter().sum::<f64>() / log_prob.len() as f64
 }
 
 /// Eq. (3): `r~ = r + alpha log p_theta(s)`, the reward with surprise.
-#[must_use]
-pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
+pub(crate) fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
     reward + alpha * log_prob
 }
 
@@ -36,8 +34,7 @@ pub fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f64 {
 ///
 /// # Panics
 /// If the shapes differ.
-#[must_use]
-pub fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
+pub(crate) fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
     assert_shape("scores", scores.len(), reward.len());
     let task: f64 = reward.iter().map(|&reward| f64::from(reward).abs()).sum();
     let bonus: f64 = scores.iter().map(|score| (alpha * score).abs()).sum();

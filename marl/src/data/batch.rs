@@ -222,7 +222,11 @@ impl AgentBatch {
 ///
 /// # Errors
 /// Names the agent with invalid rewards.
-pub fn check_rewards(rewards: &Rewards, agents: usize, rows: usize) -> Result<(), MarlError> {
+pub(crate) fn check_rewards(
+    rewards: &Rewards,
+    agents: usize,
+    rows: usize,
+) -> Result<(), MarlError> {
     length("rewards", "[N]", rewards.len(), agents)?;
     for (index, reward) in rewards.iter().enumerate() {
         floats(&format!("rewards[{index}]"), "[T, B]", reward, rows)?;

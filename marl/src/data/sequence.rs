@@ -112,7 +112,7 @@ impl Layout {
 
 /// One agent's rollout data in chunked order.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sequences {
+pub(crate) struct Sequences {
     /// Mapping of rows to chunks.
     pub layout: Layout,
     /// Observations, `[L, C, obs]`.
@@ -129,8 +129,7 @@ pub struct Sequences {
 
 impl Sequences {
     /// Chunks of agent `agent` of `batch`; `hidden` is the size `H` of its recurrent state.
-    #[must_use]
-    pub fn of(batch: &Batch, agent: usize, layout: Layout, hidden: usize) -> Self {
+    pub(crate) fn of(batch: &Batch, agent: usize, layout: Layout, hidden: usize) -> Self {
         let data = &batch.agents[agent];
         let observation = data.observation.len() / batch.rows();
         let action: Vec<f64> = data.action.iter().map(|&a| f64::from(a)).collect();
@@ -149,7 +148,7 @@ impl Sequences {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn input(&self, columns: &[usize]) -> Result<SequenceInput, MarlError> {
+    pub(crate) fn input(&self, columns: &[usize]) -> Result<SequenceInput, MarlError> {
         let (steps, count) = (self.layout.steps, columns.len());
         let (observation, hidden) = self.widths;
         let state = |&column: &usize| &self.hidden[column * hidden..(column + 1) * hidden];

@@ -15,7 +15,7 @@ const SMOOTHING: f64 = 1.0;
 
 /// Counts of each feature's values. The moments only determine which features vary.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Categorical {
+pub(crate) struct Categorical {
     moments: Moments,
     /// Per signal feature, in ascending order of values.
     counts: Vec<BTreeMap<u32, i64>>,

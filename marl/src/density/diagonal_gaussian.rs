@@ -10,13 +10,12 @@ use crate::state::Visitor;
 
 /// Mean and standard deviation of every signal feature that varies.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DiagonalGaussian(pub(super) Moments);
+pub(crate) struct DiagonalGaussian(pub(super) Moments);
 
 impl DiagonalGaussian {
     /// Eq. (4): `- sum_j (log sigma_j + (o_j - mu_j)^2 / (2 sigma_j^2))` over active features: the log-density without
     /// `-1/2 log 2 pi` per feature. `row` is `[obs]`; nats.
-    #[must_use]
-    pub fn log_prob_without_constant(&self, row: &[f32]) -> f64 {
+    pub(crate) fn log_prob_without_constant(&self, row: &[f32]) -> f64 {
         let term = |i: usize| {
             let z = self.0.standard(row, i);
             log(self.0.sigma[i]) + 0.5 * z * z

@@ -8,10 +8,10 @@ use crate::error::MarlError;
 
 /// Gradients in the order of a network's variables, each row-major.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Gradients(pub Vec<Vec<f32>>);
+pub(crate) struct Gradients(pub Vec<Vec<f32>>);
 
 /// A network's output and the gradient of the loss with respect to it, row-major.
-pub struct OutputGradient<'a> {
+pub(crate) struct OutputGradient<'a> {
     /// The output.
     pub output: &'a Tensor,
     /// Gradient of the loss with respect to each element of the output.
@@ -23,7 +23,7 @@ pub struct OutputGradient<'a> {
 ///
 /// # Errors
 /// If a tensor operation fails.
-pub fn root(outputs: &[OutputGradient<'_>]) -> Result<Tensor, MarlError> {
+pub(crate) fn root(outputs: &[OutputGradient<'_>]) -> Result<Tensor, MarlError> {
     let mut total = None;
     for OutputGradient { output, gradient } in outputs {
         let gradient: Vec<f32> = gradient.iter().map(|&x| x as f32).collect();
@@ -42,7 +42,7 @@ impl Gradients {
     ///
     /// # Errors
     /// Names a parameter that `root` does not depend on. It would otherwise never be trained.
-    pub fn of(parameters: &Parameters, root: &Tensor) -> Result<Self, MarlError> {
+    pub(crate) fn of(parameters: &Parameters, root: &Tensor) -> Result<Self, MarlError> {
         let mut backward = Backward::from(root)?;
         let vars = parameters.vars().iter().enumerate();
         let one = |(index, var)| by(&mut backward, var, parameters.name_of(index));
@@ -50,15 +50,14 @@ impl Gradients {
     }
 
     /// Adds `other` element by element.
-    pub fn add(&mut self, other: &Self) {
+    pub(crate) fn add(&mut self, other: &Self) {
         for (own, other) in self.0.iter_mut().zip(&other.0) {
             own.iter_mut().zip(other).for_each(|(own, other)| *own += other);
         }
     }
 
     /// Mean of several agents' gradients of the same parameters, added in agent order.
-    #[must_use]
-    pub fn mean(agents: Vec<Self>) -> Self {
+    pub(crate) fn mean(agents: Vec<Self>) -> Self {
         let count = agents.len();
         let mut agents = agents.into_iter();
         let mut mean = agents.next().unwrap_or(Self(Vec::new()));
@@ -69,8 +68,7 @@ impl Gradients {
     }
 
     /// Euclidean norm over all parameters. Squares are summed in f64, in parameter order.
-    #[must_use]
-    pub fn norm(&self) -> f64 {
+    pub(crate) fn norm(&self) -> f64 {
         libm::sqrt(self.0.iter().map(|gradient| sum_of_squares(gradient)).sum())
     }
 }
@@ -79,7 +77,7 @@ impl Gradients {
 ///
 /// # Errors
 /// If the backward pass did not reach the variable.
-pub fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Vec<f32>, MarlError> {
+pub(crate) fn by(backward: &mut Backward, var: &Var, name: &str) -> Result<Vec<f32>, MarlError> {
     if let Some(fused) = backward.take_fused(var) {
         return Ok(fused);
     }
@@ -102,6 +100,6 @@ fn sum_of_squares(numbers: &[f32]) -> f64 {
 ///
 /// # Errors
 /// If a tensor operation fails.
-pub fn numbers(tensor: &Tensor) -> Result<Vec<f64>, MarlError> {
+pub(crate) fn numbers(tensor: &Tensor) -> Result<Vec<f64>, MarlError> {
     Ok(tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?)
 }

@@ -38,8 +38,7 @@ const SMALLEST: f64 = 0.02;
 
 /// The fraction of the configured learning rate for an agent's next update, at most 1. `share` is the current fraction,
 /// `kl` the divergence of the last update and `desired` the wanted one, above 0, in nats. A NaN `kl` changes nothing.
-#[must_use]
-pub fn adapted(share: f64, kl: f64, desired: f64) -> f64 {
+pub(crate) fn adapted(share: f64, kl: f64, desired: f64) -> f64 {
     let factor = match kl / desired {
         far if far > NEAR => 1.0 / STEP,
         far if far < 1.0 / NEAR => STEP,

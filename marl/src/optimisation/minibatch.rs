@@ -6,8 +6,7 @@ use policy::randomness::{Draw, RunSeed, generator};
 use rand::RngCore;
 
 /// A random permutation of `0..count` (Fisher-Yates).
-#[must_use]
-pub fn permutation(count: usize, rng: &mut impl RngCore) -> Vec<usize> {
+pub(crate) fn permutation(count: usize, rng: &mut impl RngCore) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for last in (1..count).rev() {
         order.swap(last, below(last + 1, rng));
@@ -21,16 +20,19 @@ pub(crate) fn below(bound: usize, rng: &mut impl RngCore) -> usize {
 }
 
 /// Splits `0..count` into `parts` ranges whose lengths differ by at most one; empty ranges are omitted.
-#[must_use]
-pub fn split(count: usize, parts: usize) -> Vec<Range<usize>> {
+pub(crate) fn split(count: usize, parts: usize) -> Vec<Range<usize>> {
     let edge = |part: usize| part * count / parts;
     (0..parts).map(|part| edge(part)..edge(part + 1)).filter(|range| !range.is_empty()).collect()
 }
 
 /// The minibatches of one epoch over `0..count`; together they contain every index. A single minibatch is not shuffled,
 /// because its order would only affect the order of summation.
-#[must_use]
-pub fn minibatches(count: usize, parts: usize, seed: RunSeed, draw: Draw) -> Vec<Vec<usize>> {
+pub(crate) fn minibatches(
+    count: usize,
+    parts: usize,
+    seed: RunSeed,
+    draw: Draw,
+) -> Vec<Vec<usize>> {
     if parts == 1 {
         return vec![(0..count).collect()];
     }

@@ -26,7 +26,7 @@ pub struct AdamConfig {
 
 /// Adam: first and second moments of every parameter, and the number of steps.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Adam {
+pub(crate) struct Adam {
     config: AdamConfig,
     /// Fraction of the configured learning rate in this iteration. Not part of the stored state.
     decay: f64,
@@ -42,8 +42,7 @@ pub struct Adam {
 
 impl Adam {
     /// An optimiser for `parameters`, without steps.
-    #[must_use]
-    pub fn new(config: AdamConfig, parameters: &Parameters) -> Self {
+    pub(crate) fn new(config: AdamConfig, parameters: &Parameters) -> Self {
         let zeros = |var: &Var| vec![0.0; var.elem_count()];
         let zeros: Vec<Vec<f32>> = parameters.vars().iter().map(zeros).collect();
         Self {
@@ -59,21 +58,20 @@ impl Adam {
     }
 
     /// Sets the fraction of the configured learning rate for the next steps. Not part of the stored state.
-    pub fn scale_learning_rate(&mut self, share: f64) {
+    pub(crate) fn scale_learning_rate(&mut self, share: f64) {
         self.decay = share;
     }
 
     /// Adapts the learning rate to an update with a divergence of `kl` nats where `desired` were wanted. `desired` = 0:
     /// no adaptation.
-    pub fn adapt(&mut self, kl: f64, desired: f64) {
+    pub(crate) fn adapt(&mut self, kl: f64, desired: f64) {
         if desired > 0.0 {
             self.adapted = adapted(self.adapted, kl, desired);
         }
     }
 
     /// Learning rate of the next step.
-    #[must_use]
-    pub fn learning_rate(&self) -> f64 {
+    pub(crate) fn learning_rate(&self) -> f64 {
         self.decay * self.adapted * self.config.learning_rate
     }
 
@@ -82,7 +80,7 @@ impl Adam {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn step(
+    pub(crate) fn step(
         &mut self,
         parameters: &Parameters,
         gradients: &Gradients,
@@ -113,8 +111,7 @@ impl Adam {
     }
 
     /// Number of steps skipped because their gradient was not finite.
-    #[must_use]
-    pub fn skipped(&self) -> i64 {
+    pub(crate) fn skipped(&self) -> i64 {
         self.skipped
     }
 
