@@ -30,7 +30,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 use crate::process::output::{Effect, LogFormat};
 use crate::process::shell;
-use crate::run::fingerprints::BUILD;
+use crate::run::launch::BUILD;
 use crate::run::launch::SettingsArguments;
 
 pub(crate) use refusal::report;

@@ -2,7 +2,6 @@
 
 pub(crate) mod checkpointed;
 pub(crate) mod determinism;
-pub(crate) mod fingerprints;
 pub(crate) mod launch;
 pub(crate) mod message_sizes;
 pub(crate) mod new_folder;

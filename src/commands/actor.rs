@@ -16,7 +16,7 @@ use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
 use crate::listening;
 use crate::process::{runtime, signals};
-use crate::run::fingerprints::BUILD;
+use crate::run::launch::BUILD;
 use crate::tls::ClientTlsArguments;
 
 /// `s2mia actor`

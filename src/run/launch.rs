@@ -14,11 +14,13 @@ use crate::config::run_config::RunConfig;
 use crate::config::run_settings::settings_of_run;
 use crate::config::{ConfigError, Request, keys, layers};
 use crate::errors::Usage;
-use crate::run::fingerprints::{self, BUILD};
 use crate::run::new_folder::{NewFolder, Others};
 use crate::run::offered::Offered;
 use crate::run::run_path::demand_resumable;
 use crate::run::{message_sizes, new_folder, resume, run_path};
+
+/// Version and commit of this program.
+pub(crate) const BUILD: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("S2MIA_GIT_COMMIT"));
 
 /// Placeholder for the settings of a command in help texts.
 pub(crate) const VALUE_NAME: &str = "TASK | KEY=VALUE";
@@ -97,7 +99,7 @@ pub(crate) fn prepare(
     config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
     let mut launch = launch(&config, offered, &folder, fingerprint);
     if let Some(folder) = &resumed.resume {
-        fingerprints::demand_those_of(folder, fingerprint, launch.config_sha256)?;
+        resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;
     }
     launch.resume = resumed.resume.is_some();
     if !launch.resume {

@@ -73,7 +73,7 @@ pub(crate) fn metrics_file(folder: &Path) -> PathBuf {
     folder.join(METRICS)
 }
 
-/// Versions, hashes and fingerprints.
+/// Versions, hashes and the fingerprint.
 pub(crate) fn manifest_file(folder: &Path) -> PathBuf {
     folder.join(MANIFEST)
 }

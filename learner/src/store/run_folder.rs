@@ -18,7 +18,7 @@ pub use place::PlaceError;
 
 /// The resolved configuration.
 pub const CONFIG: &str = "config.toml";
-/// Versions, hashes and fingerprints.
+/// Versions, hashes and the fingerprint.
 pub const MANIFEST: &str = "manifest.json";
 /// Logs and recordings of actors.
 pub const LOGS: &str = "logs";
