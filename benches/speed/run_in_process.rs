@@ -8,9 +8,8 @@ use std::thread::{Builder, scope};
 use std::time::{Duration, Instant};
 
 use learner::launch;
-use learner::lease::check::Expected;
 use learner::lease::exchange::Exchange;
-use learner::lease::slots::{ConnectionId, ResultPart, SlotRollout};
+use learner::lease::slots::{ConnectionId, Preview, ResultPart, SlotRollout};
 use learner::train::assemble::assemble;
 use learner::train::environments::Environments;
 use learner::train::trainer::Outside;
@@ -187,7 +186,7 @@ fn perform(
         let header = PushHeader::of(lease, chunk.digest(&origin));
         // The backup of a slot that another actor has finished is refused.
         match exchange.expected(connection, &header, Some(chunk.sequence)) {
-            Ok(Expected::Next(check))
+            Ok(Preview::Next(check))
                 if check.chunk(&chunk, work, run, exchange.states()).is_ok()
                     && exchange
                         .take(connection, &header, &check, ResultPart::Chunk(chunk))

@@ -5,23 +5,13 @@ use std::sync::Arc;
 
 use proto::wire::push_trajectory_request::Content;
 use proto::{
-    Ack, Digest, EvaluationResult, Reason, Refusal, RolloutWork, RunDescription, TrajectoryChunk,
-    Work,
+    Digest, EvaluationResult, Reason, Refusal, RolloutWork, RunDescription, TrajectoryChunk, Work,
 };
 
 use crate::lease::canary::{self, Extent};
 use crate::lease::end_states::{StateReader, follow};
 use crate::lease::published::Published;
 use crate::lease::slots::{Assignment, ResultPart, Trust};
-
-/// What happens to a part of a result.
-#[derive(Clone, Debug)]
-pub enum Expected {
-    /// It was taken in before.
-    Repeated(Ack),
-    /// It is the next one of its lease and must pass this check.
-    Next(Check),
-}
 
 /// What the next part of a lease's result is checked against.
 #[derive(Clone, Debug)]

@@ -37,7 +37,7 @@ mod returned;
 mod typical;
 mod works;
 
-use actors::{Actors, Admission};
+use actors::Actors;
 pub use actors::{ConnectionId, Trust};
 use audits::Audits;
 pub use disagreement::{ComputedPart, Disagreement, Part};
@@ -258,10 +258,12 @@ impl SlotTable {
         self.may_be_audited(owner)?;
         self.actors.processes.asks(owner.process, self.now);
         let held = self.open.of(actor).count();
-        match self.actors.admit(owner, held, self.now)? {
-            _ if self.over => return Ok(Offer::Done),
-            Admission::Quarantined(wait) => return Ok(Offer::Quarantined(wait)),
-            Admission::Welcome => {}
+        let wait = self.actors.quarantine(owner, held, self.now)?;
+        if self.over {
+            return Ok(Offer::Done);
+        }
+        if !wait.is_zero() {
+            return Ok(Offer::Quarantined(wait));
         }
         let id = LeaseId(self.last_lease + 1);
         let Some(claimed) = self.claim(id, owner) else {

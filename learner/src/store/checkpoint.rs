@@ -33,7 +33,7 @@ const MANIFEST: &str = "manifest.json";
 const POLICY: &str = "policy.safetensors";
 /// Names the newest checkpoint, for people and scripts. Loading looks at the directories themselves, unless they change.
 const LATEST: &str = "LATEST";
-/// The run's settings, so that a checkpoint by itself is enough to go on.
+/// The run's settings, so that a checkpoint by itself is enough to resume.
 pub const SETTINGS: &str = "config.toml";
 /// The groups of arrays, one file each.
 const GROUPS: [&str; 10] = [

@@ -6,9 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use learner::lease::check::Expected;
 use learner::lease::exchange::Exchange;
-use learner::lease::slots::{ConnectionId, ResultPart};
+use learner::lease::slots::{ConnectionId, Preview, ResultPart};
 use policy::PolicySnapshot;
 use proto::{
     Ack, Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Refusal, Registration, RunDescription,
@@ -90,7 +89,7 @@ fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, 
         Work::Evaluation(work) => {
             let result = toy::evaluate(run, &policy, work);
             let header = PushHeader::of(lease, result.digest(work.iteration));
-            if let Ok(Expected::Next(check)) = exchange.expected(connection, &header, None) {
+            if let Ok(Preview::Next(check)) = exchange.expected(connection, &header, None) {
                 let _late = exchange.take(connection, &header, &check, ResultPart::Episode(result));
             }
         }
@@ -105,8 +104,8 @@ pub(crate) fn push(
     chunk: TrajectoryChunk,
 ) -> Result<Ack, Refusal> {
     let check = match exchange.expected(connection, header, Some(chunk.sequence))? {
-        Expected::Repeated(ack) => return Ok(ack),
-        Expected::Next(check) => check,
+        Preview::Repeated(ack) => return Ok(ack),
+        Preview::Next(check) => check,
     };
     let Work::Rollout(slot) = &*check.assignment.work else { panic!("{check:?} is of an episode") };
     check.chunk(&chunk, slot, exchange.run(), exchange.states())?;

@@ -4,7 +4,7 @@ use proto::{Ack, AckState, LeaseId, PushHeader, Reason, Refusal, ReturnedLease, 
 
 use super::{Caller, Exchange};
 use crate::lease::canary::Extent;
-use crate::lease::check::{Check, Expected};
+use crate::lease::check::Check;
 use crate::lease::slots::{ConnectionId, Preview, ResultPart};
 
 impl Exchange {
@@ -38,9 +38,9 @@ impl Exchange {
         sender: ConnectionId,
         header: &PushHeader,
         sequence: Option<u32>,
-    ) -> Result<Expected, Refusal> {
+    ) -> Result<Preview<Check>, Refusal> {
         self.change(|shared| match shared.table.preview(sender, header, sequence)? {
-            Preview::Repeated(ack) => Ok(Expected::Repeated(ack)),
+            Preview::Repeated(ack) => Ok(Preview::Repeated(ack)),
             Preview::Next(assignment) => {
                 let weights = shared.weights.find(header.weights)?;
                 // A suspect could register again, so one failed check counts for all actors.
@@ -48,7 +48,7 @@ impl Exchange {
                 let key = [header.lease.0, sequence.unwrap_or(0).into()];
                 let whole = failed || self.checked.covers(key);
                 let extent = if whole { Extent::Chunk } else { Extent::FirstStep };
-                Ok(Expected::Next(Check { assignment, weights, extent }))
+                Ok(Preview::Next(Check { assignment, weights, extent }))
             }
         })
     }

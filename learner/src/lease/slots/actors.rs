@@ -48,15 +48,6 @@ pub enum Trust {
     Foreign,
 }
 
-/// Whether an actor may get work.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Admission {
-    /// It may.
-    Welcome,
-    /// Not before this time has passed.
-    Quarantined(Duration),
-}
-
 #[derive(Debug)]
 struct Actor {
     connection: ConnectionId,
@@ -165,20 +156,20 @@ impl Actors {
         self.connected.contains_key(&connection)
     }
 
-    pub(super) fn admit(
+    /// How long an actor that holds so many leases gets no work; zero outside of quarantine.
+    pub(super) fn quarantine(
         &self,
         owner: Owner,
         leases: usize,
         now: Duration,
-    ) -> Result<Admission, Refusal> {
+    ) -> Result<Duration, Refusal> {
         let id = owner.actor;
         let actor = self.find(owner.connection, id)?;
         if leases >= MOST_LEASES {
             let detail = format!("actor {id} holds {leases} leases, {MOST_LEASES} are allowed");
             return Err(Refusal::new(Reason::TooManyLeases, "actor_id", detail));
         }
-        let wait = actor.quarantined_until.saturating_sub(now);
-        Ok(if wait.is_zero() { Admission::Welcome } else { Admission::Quarantined(wait) })
+        Ok(actor.quarantined_until.saturating_sub(now))
     }
 
     fn find(&self, sender: ConnectionId, id: ActorId) -> Result<&Actor, Refusal> {

@@ -19,11 +19,11 @@ const AUDIT_IN_TTLS: u32 = 3;
 
 /// What would happen to a part of a result.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Preview {
+pub enum Preview<T> {
     /// It, or an equal one, was taken in before: its acknowledgement was lost.
     Repeated(Ack),
-    /// It is the next one of its lease.
-    Next(Assignment),
+    /// It is the next one of its lease, and must fit this.
+    Next(T),
 }
 
 /// What the next part of a lease's result must fit.
@@ -53,7 +53,7 @@ impl SlotTable {
         sender: ConnectionId,
         header: &PushHeader,
         sequence: Option<u32>,
-    ) -> Result<Preview, Refusal> {
+    ) -> Result<Preview<Assignment>, Refusal> {
         let number = sequence.unwrap_or(0);
         let repeated = |lease_finished| {
             let (lease, state) = (header.lease, AckState::Repeated);

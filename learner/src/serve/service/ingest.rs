@@ -9,9 +9,8 @@ use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio::sync::{Semaphore, mpsc};
 use tonic::{Code, Status, Streaming};
 
-use crate::lease::check::Expected;
 use crate::lease::exchange::{Caller, Exchange};
-use crate::lease::slots::{ConnectionId, ResultPart};
+use crate::lease::slots::{ConnectionId, Preview, ResultPart};
 use crate::serve::service::bodies::Share;
 
 /// Longest time without a complete message before the stream is closed.
@@ -129,8 +128,8 @@ fn read(
         Content::Evaluation(_) => None,
     };
     let check = match exchange.expected(sender, &header, sequence)? {
-        Expected::Repeated(ack) => return Ok(ack),
-        Expected::Next(check) => check,
+        Preview::Repeated(ack) => return Ok(ack),
+        Preview::Next(check) => check,
     };
     // Not under the exchange's lock: this takes milliseconds.
     let part = check.read(&content, header.digest, exchange.run(), exchange.states())?;

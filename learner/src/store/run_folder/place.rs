@@ -245,8 +245,8 @@ mod tests {
     #[test]
     fn a_file_system_without_locks_is_named_as_the_reason() {
         let error = not_lockable(Path::new("a/learner.lock"), &io::ErrorKind::Unsupported.into());
-        let told = "cannot lock a/learner.lock: its file system must support flock (unsupported)";
-        assert_eq!(error.to_string(), told);
+        let line = "cannot lock a/learner.lock: its file system must support flock (unsupported)";
+        assert_eq!(error.to_string(), line);
     }
 
     #[test]
