@@ -18,7 +18,7 @@ mod tests;
 mod writer;
 
 pub use collector::ShareCollector;
-pub use config::{LogConfig, LogSettings};
+pub use config::{FILE_BYTES, LogConfig, LogSettings};
 pub use error::{LogError, LogStartError};
 pub use replay::{Difference, Replayed, replay};
 pub use shares::{ReadShares, read_shares, totals};

@@ -7,7 +7,7 @@ use actor::Transport;
 use anyhow::Context as _;
 use clap::Args;
 use proto::name;
-use recording::trajectory_log::LogConfig;
+use recording::trajectory_log::{FILE_BYTES, LogConfig};
 use tokio::sync::watch;
 
 use crate::commands::control::seconds;
@@ -65,9 +65,6 @@ pub(crate) struct ActorLogArguments {
     /// Episodes to log, as in log.episodes: evaluation, all, or a number N for one episode in N.
     #[arg(long, value_name = "WHICH", requires = "log_dir")]
     pub(crate) log_episodes: Option<String>,
-    /// File size after which the log continues in a new file [default: log.max_file_mib].
-    #[arg(long, value_name = "MIB", requires = "log_dir")]
-    pub(crate) log_max_file_mib: Option<u64>,
 }
 
 /// Ends with status 0 when the learner reports that the run is done, or after a stop signal.
@@ -117,16 +114,15 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     Ok(config)
 }
 
-/// Trajectory logging, if enabled: the arguments override the defaults of the settings.
+/// Trajectory logging, if enabled.
 fn log(arguments: ActorLogArguments) -> Result<Option<LogConfig>, ConfigError> {
     let (Some(folder), Some(episodes)) = (arguments.log_dir, arguments.log_episodes) else {
         return Ok(None);
     };
-    let size = arguments.log_max_file_mib.map(|size| format!("log.max_file_mib={size}"));
-    let settings = [format!("log.episodes={episodes}")].into_iter().chain(size).collect();
+    let settings = vec![format!("log.episodes={episodes}")];
     let resolved = layers::resolve(&Request { settings, ..Request::default() })?;
-    let settings = RunConfig::build(resolved)?.log;
-    Ok(Some(LogConfig { folder, settings }))
+    let episodes = RunConfig::build(resolved)?.log.episodes;
+    Ok(Some(LogConfig { folder, episodes, file_bytes: FILE_BYTES }))
 }
 
 fn default_name() -> String {

@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use Condition::{Above0, Environment, Filled, Is, Not, Zero};
+use Condition::{Above0, Environment, Filled, Is, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
 use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, Run, SURPRISE};
@@ -86,7 +86,6 @@ const TABLE: &[(&[&str], Alternatives)] = &[
         &[&[MADDPG]],
     ),
     (&["evaluation.episodes", "evaluation.sampled"], &[&[Above0("evaluation.every_steps")]]),
-    (&["log.max_file_mib"], &[&[Not("log.episodes", "none")]]),
 ];
 
 /// What `key` lacks for an effect: `None` if it has one. What is not known of the environment is assumed to hold.

@@ -83,7 +83,6 @@ const TABLE: &[Rule] = &[
         &[INFLUENCE, Environment(Discrete)],
         "mle for a task with discrete actions",
     ),
-    rule(Above0("policy.burn_in"), &[Is("policy.core", &["mlp"])], "0 with policy.core = mlp"),
     rule(
         Not("log.episodes", "none"),
         &[Filled("environment_service.url")],

@@ -151,7 +151,6 @@ impl RunConfig {
         self.policy.validate()?;
         self.training.validate()?;
         self.learner.validate()?;
-        self.log.validate()?;
         rules::numbers(self)
     }
 

@@ -163,20 +163,14 @@ impl ActorProcesses {
 
     /// Arguments for trajectory logging, if it is enabled.
     fn log_arguments(&self) -> Vec<OsString> {
-        let LogSettings { episodes, max_file_mib } = self.log;
+        let episodes = self.log.episodes;
         if episodes == Episodes::None {
             return Vec::new();
         }
         // As one word, because the path may begin with `-`.
         let mut folder = OsString::from("--log-dir=");
         folder.push(&self.logs);
-        vec![
-            folder,
-            "--log-episodes".into(),
-            episodes.to_string().into(),
-            "--log-max-file-mib".into(),
-            max_file_mib.to_string().into(),
-        ]
+        vec![folder, "--log-episodes".into(), episodes.to_string().into()]
     }
 
     fn patience(&self) -> Duration {
@@ -231,7 +225,7 @@ mod tests {
             token: Token::random().unwrap(),
             environment: Vec::new(),
             logs: folder.path().into(),
-            log: LogSettings { episodes: Episodes::None, max_file_mib: 1 },
+            log: LogSettings { episodes: Episodes::None },
             actors: 2,
         }
     }

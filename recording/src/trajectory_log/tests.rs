@@ -21,7 +21,7 @@ use rollout::{StepEvent, play_episode};
 
 use super::shares::{ReadShares, read_shares};
 use super::source::read_bytes;
-use super::{Log, LogConfig, LogHandle, LogSettings};
+use super::{Log, LogConfig, LogHandle};
 use crate::share::LoggedShare;
 use fixture::{policy, task, world};
 use work::{fresh_work, run};
@@ -32,8 +32,8 @@ pub(super) fn start(
     episodes: Episodes,
     max_file_mib: u64,
 ) -> (Log, LogHandle) {
-    let settings = LogSettings { episodes, max_file_mib };
-    let config = LogConfig { folder: folder.to_path_buf(), settings };
+    let config =
+        LogConfig { folder: folder.to_path_buf(), episodes, file_bytes: max_file_mib << 20 };
     let log = Log::start(&config, actor, 1).unwrap();
     let handle = log.handle(&Arc::new(run()), &task());
     (log, handle)

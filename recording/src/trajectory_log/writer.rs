@@ -92,7 +92,7 @@ impl Log {
         let (commands, queue) = sync_channel(QUEUE * threads);
         let thread = std::thread::Builder::new().name("log".to_owned());
         let thread = thread.spawn(move || writer.work(&queue)).map_err(LogStartError::Thread)?;
-        let (episodes, actor) = (config.settings.episodes, actor.to_owned());
+        let (episodes, actor) = (config.episodes, actor.to_owned());
         Ok(Self { commands, lost, episodes, actor, thread })
     }
 
@@ -230,7 +230,7 @@ impl LogWriter {
             }
         };
         file.write(share)?;
-        if file.bytes()? >= self.config.settings.max_file_mib << 20 {
+        if file.bytes()? >= self.config.file_bytes {
             self.finish()?;
         }
         Ok(())
@@ -289,11 +289,9 @@ mod tests {
 
     #[test]
     fn a_folder_that_cannot_be_created_is_an_error_in_one_line() {
-        let settings =
-            crate::trajectory_log::LogSettings { episodes: Episodes::All, max_file_mib: 1 };
-        let folder = "/dev/null/logs".into();
-        let refusal =
-            Log::start(&LogConfig { folder, settings }, "a", 1).err().map(|e| e.to_string());
+        let (folder, episodes) = ("/dev/null/logs".into(), Episodes::All);
+        let config = LogConfig { folder, episodes, file_bytes: 1 };
+        let refusal = Log::start(&config, "a", 1).err().map(|e| e.to_string());
         let line = refusal.unwrap_or_default();
         assert!(line.contains("cannot create /dev/null/logs") && !line.contains('\n'), "{line}");
     }

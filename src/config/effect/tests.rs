@@ -30,7 +30,6 @@ const CASES: &[Case] = &[
     ("influence.holdout_every=4", &[], &["influence.q_training=shared"]),
     ("maddpg.noise=0.2", &["algorithm=maddpg"], &[]),
     ("evaluation.sampled=true", &[], &["evaluation.every_steps=0"]),
-    ("log.max_file_mib=8", &["log.episodes=all"], &[]),
 ];
 
 fn resolved(settings: &[&str]) -> Result<RunConfig, ConfigError> {

@@ -104,7 +104,6 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         ("maddpg.polyak=0", "maddpg.polyak"),
         ("log.episodes=some", "log.episodes"),
         ("log.episodes=0", "log.episodes"),
-        ("log.max_file_mib=0", "log.max_file_mib"),
     ] {
         let message =
             built(&["halfcheetah-6x1", "algorithm=happo", setting]).unwrap_err().to_string();
