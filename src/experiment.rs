@@ -2,7 +2,6 @@
 
 pub(crate) mod comparison;
 pub(crate) mod file;
-pub(crate) mod listing;
 pub(crate) mod place;
 pub(crate) mod plan;
 pub(crate) mod progress;

@@ -9,11 +9,10 @@ use tokio::sync::watch;
 
 use crate::errors::Usage;
 use crate::experiment::file::ExperimentFile;
-use crate::experiment::listing::listing;
 use crate::experiment::plan::{PlannedRun, plan, remarks};
 use crate::experiment::progress::Progress;
 use crate::experiment::record::Record;
-use crate::experiment::run_state::is_finished;
+use crate::experiment::run_state::{is_finished, listing};
 use crate::experiment::scheduler::Tally;
 use crate::experiment::selection::{Selection, Shard};
 use crate::experiment::submit::slurm::Options;

@@ -151,14 +151,20 @@ const NUMBERS: [(&str, &str); 3] = [
 
 /// Adds the key to messages that lack it: crates name the key in an error of range, serde does not name it.
 fn named(key: &str, detail: &str) -> String {
-    let detail = in_words(detail);
-    if detail.contains(key) { detail } else { format!("`{key}`: {detail}") }
+    if detail.contains(key) { detail.to_owned() } else { format!("`{key}`: {detail}") }
 }
 
-/// Serde's message without Rust's type names.
-pub(crate) fn in_words(detail: &str) -> String {
+/// The line of `text` at which a parser failed, and its message in one line.
+pub(crate) fn line_and_message(text: &str, error: &toml::de::Error) -> (usize, String) {
+    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+    (before.matches('\n').count() + 1, in_words(error.message()))
+}
+
+/// Serde's message in one line, without Rust's type names.
+pub(super) fn in_words(message: &str) -> String {
+    let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
     let replaced = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
-    NUMBERS.into_iter().fold(detail.to_owned(), replaced)
+    NUMBERS.into_iter().fold(line, replaced)
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

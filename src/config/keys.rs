@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn operational_keys_are_told_from_semantic_ones() {
+    fn operational_keys_differ_from_semantic_ones() {
         for key in [
             "run.actors",
             "run.dir",

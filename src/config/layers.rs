@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use toml::{Table, Value};
 
-use super::error::ConfigError;
+use super::error::{ConfigError, line_and_message};
 use super::own_task::OwnTask;
 use super::presets::{self, Preset};
 use super::resolved::Resolved;
@@ -321,15 +321,10 @@ fn wrong_kind(place: &str, key: &str, default: &Value, found: &str) -> ConfigErr
 }
 
 fn parsed(place: &str, text: &str) -> Result<Table, ConfigError> {
-    text.parse().map_err(|error| not_toml(place, text, &error))
-}
-
-/// A parser's message in one line, with the line of the file.
-fn not_toml(place: &str, text: &str, error: &toml::de::Error) -> ConfigError {
-    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
-    let line = before.matches('\n').count() + 1;
-    let detail = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-    ConfigError::Unreadable { place: format!("{place}:{line}"), detail }
+    text.parse().map_err(|error| {
+        let (line, detail) = line_and_message(text, &error);
+        ConfigError::Unreadable { place: format!("{place}:{line}"), detail }
+    })
 }
 
 /// Every value that is not a table, with its dotted path, and every empty table.

@@ -201,8 +201,7 @@ impl RunConfig {
 fn typed<T: DeserializeOwned>(resolved: &Resolved, text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| {
         let key = key_at(text, error.span().map_or(0, |span| span.start));
-        let detail = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-        ConfigError::refused(resolved, &[&key], &in_words(&detail))
+        ConfigError::refused(resolved, &[&key], &in_words(error.message()))
     })
 }
 

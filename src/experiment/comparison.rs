@@ -105,10 +105,10 @@ fn normalised_score(samples: &[Vec<f64>]) -> f64 {
         pair[0].iter().map(move |own| if unit > 0.0 { own / unit } else { f64::NAN })
     });
     let scores: Vec<f64> = scores.collect();
-    match scores.iter().any(|score| score.is_nan()) {
-        true => f64::NAN,
-        false => interquartile_mean(&scores),
+    if scores.iter().any(|score| score.is_nan()) {
+        return f64::NAN;
     }
+    interquartile_mean(&scores)
 }
 
 /// As [`normalised_score`].

@@ -43,14 +43,15 @@ struct Figures {
 }
 
 impl Progress {
-    /// Before the first run goes on; a bar if stdout is a terminal.
+    /// Before the first run starts; a bar if stdout is a terminal.
     pub(crate) fn new(runs: &[PlannedRun]) -> Self {
         let begin = Instant::now();
         let known: Vec<RunState> = runs.iter().map(run_state).collect();
         let (done, total) = steps(runs, &known);
-        let screen = match std::io::stdout().is_terminal() {
-            true => Screen::Bar(bar(total)),
-            false => Screen::Lines { last: begin },
+        let screen = if std::io::stdout().is_terminal() {
+            Screen::Bar(bar(total))
+        } else {
+            Screen::Lines { last: begin }
         };
         Self { begin, known, steps_before: done, screen }
     }

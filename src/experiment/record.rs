@@ -71,8 +71,8 @@ impl Record {
         }
         let mut record = Self::default();
         for (line, number) in lines {
-            let told = record.take(line);
-            told.with_context(|| format!("{}, line {number}: {line}", path.display()))?;
+            let taken = record.take(line);
+            taken.with_context(|| format!("{}, line {number}: {line}", path.display()))?;
         }
         Ok(record)
     }
@@ -169,9 +169,10 @@ impl Record {
             for (index, e) in run.evaluations.iter().enumerate() {
                 let (surprise, information) = (optional(e.surprise), optional(e.information));
                 let Origin { settings_sha256, weights_sha256, commit } = &run.origin;
-                let origin = match index == last {
-                    true => format!("{settings_sha256},{weights_sha256},{commit}"),
-                    false => ",,".to_owned(),
+                let origin = if index == last {
+                    format!("{settings_sha256},{weights_sha256},{commit}")
+                } else {
+                    ",,".to_owned()
                 };
                 let (env_steps, mean_return) = (e.env_steps, e.mean_return);
                 text += &format!(

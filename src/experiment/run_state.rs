@@ -7,7 +7,9 @@ use learner::store::run_folder::RunFolder;
 use serde_json::Value;
 
 use super::plan::PlannedRun;
+use super::record::Record;
 use crate::config::run_settings::config_of_run;
+use crate::figures::chart;
 use crate::run::{resume, run_path};
 
 /// Number of bytes that contains the last lines of a `metrics.jsonl`.
@@ -59,13 +61,11 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunState {
     let last = last_lines(&run_path::metrics_file(&run.folder));
     let finished =
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
-    match last.iter().any(finished) {
-        true => RunState::Finished,
-        false => {
-            let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
-            RunState::Begun { env_steps: steps.max().unwrap_or(0) }
-        }
+    if last.iter().any(finished) {
+        return RunState::Finished;
     }
+    let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
+    RunState::Begun { env_steps: steps.max().unwrap_or(0) }
 }
 
 /// Whether the folder holds this run and it is finished.
@@ -80,6 +80,32 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     }
     let same = config_of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));
     same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
+}
+
+/// One line per run, and one for all.
+pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> String {
+    let width = runs.iter().map(|run| run.name().len()).max().unwrap_or(0);
+    let digits = runs.iter().map(|run| run.index.to_string().len()).max().unwrap_or(0);
+    let line = |run: &PlannedRun| {
+        let steps = chart::thousands(run.config.env_steps());
+        let state = shown(run, record);
+        format!("{:digits$}  {:width$}  {steps:>10} steps  {state}\n", run.index, run.name())
+    };
+    let total = runs.iter().map(|run| run.config.env_steps()).sum();
+    let lines: String = runs.iter().map(line).collect();
+    format!("{lines}{} runs, {} steps, {at_once} at once", runs.len(), chart::thousands(total))
+}
+
+fn shown(run: &PlannedRun, record: &Record) -> String {
+    if record.holds(run) {
+        return "recorded".to_owned();
+    }
+    match (mismatch(run), run_state(run)) {
+        (Some(why), _) => why,
+        (None, RunState::New) => "new".to_owned(),
+        (None, RunState::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
+        (None, RunState::Finished) => "finished".to_owned(),
+    }
 }
 
 /// The last lines of a file of JSON lines; none if it cannot be read.

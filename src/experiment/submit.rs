@@ -46,12 +46,11 @@ fn name(file: &ExperimentFile) -> String {
 /// Refuses a value that would not remain one word of a script or of YAML.
 fn word<'a>(option: &str, value: &'a str) -> Result<&'a str, Usage> {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.,:/@+".contains(letter);
-    match !value.is_empty() && value.chars().all(plain) {
-        true => Ok(value),
-        false => Err(Usage::new(format!(
-            "{option} {value}: use only letters, digits and - _ . , : / @ +"
-        ))),
+    if value.is_empty() || !value.chars().all(plain) {
+        let why = format!("{option} {value}: use only letters, digits and - _ . , : / @ +");
+        return Err(Usage::new(why));
     }
+    Ok(value)
 }
 
 /// Replaces each `@KEY@` by its value.

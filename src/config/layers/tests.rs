@@ -130,7 +130,7 @@ fn an_argument_without_a_value_is_refused() {
 }
 
 #[test]
-fn a_task_after_a_setting_is_told_that_it_comes_first() {
+fn a_task_after_a_setting_is_refused() {
     assert_eq!(
         refusal(&["run.seed=7", "walker2d-2x3"]),
         "`walker2d-2x3` is a task, and the task comes first, before all settings"
@@ -140,7 +140,7 @@ fn a_task_after_a_setting_is_told_that_it_comes_first() {
 #[test]
 fn a_variable_that_spells_a_setting_with_single_underscores_is_refused_and_another_programs_is_not()
 {
-    let told = |name: &str| {
+    let read = |name: &str| {
         let environment = vec![(name.to_owned(), "3".to_owned())];
         resolve(&Request { environment, ..Request::default() }).map_err(|error| error.to_string())
     };
@@ -151,10 +151,10 @@ fn a_variable_that_spells_a_setting_with_single_underscores_is_refused_and_anoth
         ("S2MIA_ENV_STEPS", "S2MIA__RUN__ENV_STEPS"),
     ] {
         let line = format!("environment variable {name} is no setting; write {meant}");
-        assert_eq!(told(name).unwrap_err(), line);
+        assert_eq!(read(name).unwrap_err(), line);
     }
     for name in ["S2MIA_IMAGE", "S2MIA_GIT_COMMIT", "S2MIA_RUSTC", "S2MIA_LEARNER_SERVICE_PORT"] {
-        assert!(told(name).is_ok(), "{name}");
+        assert!(read(name).is_ok(), "{name}");
     }
 }
 

@@ -39,7 +39,7 @@ fn every_rule_refuses_a_value_with_the_allowed_ones() {
 }
 
 #[test]
-fn values_of_one_section_do_not_exclude_those_of_a_rule_that_is_not_chosen() {
+fn a_value_is_taken_where_no_rule_refuses_it() {
     for settings in [
         &["cue-2x1", "influence.estimator=count"][..],
         &["influence.q_training=shared"],

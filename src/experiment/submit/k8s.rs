@@ -60,21 +60,22 @@ pub(crate) fn manifest(
 /// Refuses a name that no key of a ConfigMap can have.
 fn key_of_a_map(name: &str) -> Result<&str, Usage> {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
-    match name.chars().all(plain) {
-        true => Ok(name),
-        false => Err(Usage::new(format!(
+    if !name.chars().all(plain) {
+        return Err(Usage::new(format!(
             "{name}: --submit k8s needs a file name of letters, digits, `-`, `_` and `.`"
-        ))),
+        )));
     }
+    Ok(name)
 }
 
 /// The volume holds the paths that start in the working folder.
 fn demand_relative(key: &str, path: &Path) -> Result<(), Usage> {
-    match path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
-        false => Err(Usage::new(format!(
+    let is_inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+    if !path.components().all(is_inside) {
+        return Err(Usage::new(format!(
             "{key} = \"{}\" does not exist in a pod; --submit k8s needs a relative path without `..`",
             path.display()
-        ))),
-        true => Ok(()),
+        )));
     }
+    Ok(())
 }
