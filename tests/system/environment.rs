@@ -133,7 +133,7 @@ fn killed_actors_and_failures_of_the_program_do_not_affect_the_weights() {
 }
 
 #[test]
-fn a_run_goes_on_if_its_program_rejects_the_states_that_it_saved() {
+fn a_run_continues_if_its_program_rejects_the_states_that_it_saved() {
     let (runs, service) =
         (Runs::new(), CueService::start(Faults { rejects: |_| true, ..Faults::NONE }));
     let hashes = ["run.actors=1", "run.actors=2"].map(|actors| {

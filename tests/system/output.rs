@@ -65,7 +65,7 @@ fn a_reader_that_has_gone_changes_no_status() {
 }
 
 #[test]
-fn a_watch_that_nobody_reads_ends_and_the_run_goes_on() {
+fn a_watch_that_nobody_reads_ends_and_the_run_continues() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     let dir = format!("run.dir={}", folder.display());
