@@ -63,7 +63,7 @@ pub(crate) fn arbitrary_chunk(run: &RunDescription) -> TrajectoryChunk {
     let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
     let agents = agents.map(|(agent, hidden)| AgentChunk {
         observation: vec![0.1; rows * agent.observation.len()],
-        action: vec![0.1; rows * agent.action.size as usize],
+        action: vec![0.1; rows * agent.action.size],
         log_prob: vec![0.0; rows],
         hidden: vec![0.0; stored * *hidden as usize],
     });

@@ -176,12 +176,11 @@ fn an_actor_whose_certificate_expires_keeps_its_connection_and_gets_no_new_one()
     let health =
         [vec!["health".to_owned(), "--learner".to_owned(), learner.url.clone()], tls].concat();
     let health = health.iter().map(String::as_str).collect::<Vec<_>>();
-    eventually(|| match s2mia(&health) {
+    let why = eventually(|| match s2mia(&health) {
         asked if asked.status.success() => Err("the certificate has not expired".to_owned()),
-        asked => {
-            Ok(assert!(String::from_utf8_lossy(&asked.stderr).contains("actor.pem expired at ")))
-        }
+        asked => Ok(String::from_utf8(asked.stderr).unwrap()),
     });
+    assert!(why.contains("actor.pem expired at "), "{why}");
     continues(&run_folder);
     assert!(!one.log().contains("session ended"), "{}", one.log());
     stopped(&mut learner, vec![one]);

@@ -91,7 +91,7 @@ impl Acting {
         let mut client = server.client().await;
         let described = client.describe_policy(wire::DescribePolicyRequest {}).await.unwrap();
         let described = PolicyDescription::from_wire(described.into_inner()).unwrap();
-        let sizes = described.agents.iter().map(|agent| agent.agent.action.size as usize);
+        let sizes = described.agents.iter().map(|agent| agent.agent.action.size);
         let action_sizes = sizes.collect();
         let (steps, queue) = mpsc::channel(4);
         steps.send(choice.to_wire()).await.unwrap();

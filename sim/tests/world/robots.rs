@@ -195,7 +195,7 @@ fn random_and_bang_bang_control_stay_within_limits_and_above_the_floor() {
 
 #[test]
 fn slow_full_torque_swings_stay_within_limits_and_above_the_floor() {
-    let swing = |_: &mut _, step: u32| if (step / 9) % 2 == 0 { 1.0 } else { -1.0 };
+    let swing = |_: &mut _, step: u32| if (step / 9).is_multiple_of(2) { 1.0 } else { -1.0 };
     let (beyond, depth) = extremes("halfcheetah-6x1", swing);
     // MuJoCo 4.0.0 under such actions: 0.16 rad, 0.086 m.
     assert!(beyond < 0.2 && depth < 0.11, "{beyond} rad, {depth} m");
