@@ -112,8 +112,8 @@ impl SlotTable {
             finished: Finished::default(),
             works: BTreeMap::new(),
             audits: Audits::new(rules.audit),
-            failures: Failures::default(),
-            times: TypicalTimes::default(),
+            failures: Failures::new(rules.ttl),
+            times: TypicalTimes::new(rules.ttl),
             reissued: 0,
             backups: 0,
             effects: Vec::new(),
@@ -153,7 +153,7 @@ impl SlotTable {
             self.next_backup(),
             self.audits.first_overdue(),
             self.actors.processes.first_released(self.now),
-            self.failures.next_try(self.now, self.rules.ttl),
+            self.failures.next_try(self.now),
         ];
         next.into_iter().flatten().min()
     }
@@ -299,8 +299,8 @@ impl SlotTable {
             let detail = format!("{}, the work has {most} steps", beat.slot_step);
             return Err(Refusal::new(Reason::BadValue, "slot_step", detail));
         }
-        let (now, ttl) = (self.now, self.rules.ttl);
-        self.open.change(beat.lease, |lease| lease.beat(beat.slot_step, now, ttl));
+        let now = self.now;
+        self.open.change(beat.lease, |lease| lease.beat(beat.slot_step, now));
         Ok(true)
     }
 

@@ -50,15 +50,15 @@ impl SlotTable {
     /// The first free slot, else the first free episode, that the actor's process may try after failures.
     fn claim_free(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
         let (failures, processes) = (&self.failures, &self.actors.processes);
-        let (now, least) = ((self.now, self.rules.ttl), self.rules.least_trust());
+        let (now, least) = (self.now, self.rules.least_trust());
         let may_try = |key| failures.may_try(key, owner.process, processes.registered(least), now);
-        self.works.values_mut().find_map(|works| works.claim(id, self.now, may_try))
+        self.works.values_mut().find_map(|works| works.claim(id, now, may_try))
     }
 
     /// A backup of a slow slot, or of one that only stalled processes hold, else of such an episode. If there is one
     /// already that is slow too and shows nothing, it is replaced.
     fn claim_backup(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        let (now, ttl) = (self.now, self.rules.ttl);
+        let now = self.now;
         let (leases, processes, failures) = (&self.open, &self.actors.processes, &self.failures);
         let holder = |held: &HeldLease| leases.get(held.id).map(|lease| lease.owner.process);
         let of_another =
@@ -73,12 +73,12 @@ impl SlotTable {
                 [_, second] if shows_nothing(second) => (second.since, patience(age, issued)),
                 _ => return false,
             };
-            failures.may_back_up(key, owner.process, (now, ttl))
+            failures.may_back_up(key, owner.process, now)
                 && held.iter().all(of_another)
                 && (since + patience <= now || held.iter().all(of_stalled))
         };
         let (claimed, replaced) = self.works.values_mut().find_map(|works| {
-            let age = self.times.backup_age(works).unwrap_or(ttl);
+            let age = self.times.backup_age(works);
             let since = if processes.any_stalled() { now } else { now.checked_sub(age)? };
             works.claim_backup(id, since, now, |key, held, issued| suits(key, held, issued, age))
         })?;
@@ -134,7 +134,7 @@ impl SlotTable {
     /// When the next slot or episode may get a backup lease.
     pub(super) fn next_backup(&self) -> Option<Duration> {
         let next = self.works.values().filter_map(|works| {
-            let age = self.times.backup_age(works).unwrap_or(self.rules.ttl);
+            let age = self.times.backup_age(works);
             works.first_held_after(self.now.checked_sub(age)).map(|since| since + age)
         });
         next.min()

@@ -21,8 +21,12 @@ const MOST_FRESH: u32 = 5;
 const MOST_PROCESSES: usize = 64;
 
 /// Failed work of the open iteration and of open evaluations.
-#[derive(Debug, Default)]
-pub(super) struct Failures(BTreeMap<Key, Failed>);
+#[derive(Debug)]
+pub(super) struct Failures {
+    /// A lease's time to live.
+    ttl: Duration,
+    works: BTreeMap<Key, Failed>,
+}
 
 /// What happens to failed work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,44 +61,42 @@ struct Failed {
 }
 
 impl Failures {
+    pub(super) fn new(ttl: Duration) -> Self {
+        Self { ttl, works: BTreeMap::new() }
+    }
+
     /// Whether `process` may try the work now. One that failed waits for the `others`, the registered processes, but not
-    /// longer than `ttl`.
+    /// longer than a time to live.
     pub(super) fn may_try(
         &self,
         key: Key,
         process: Process,
         others: impl Iterator<Item = Process>,
-        (now, ttl): (Duration, Duration),
+        now: Duration,
     ) -> bool {
-        let Some(failed) = self.0.get(&key) else { return true };
-        let waits = || failed.is_untried_by(others) && now < failed.last + ttl;
+        let Some(failed) = self.works.get(&key) else { return true };
+        let waits = || failed.is_untried_by(others) && now < failed.last + self.ttl;
         !(failed.decided || failed.is_by(process) && waits())
     }
 
-    /// Whether `process` may compute work that another lease computes too. One that failed may not for `ttl`, or at all
-    /// if the work failed often: the other lease ends it then.
-    pub(super) fn may_back_up(
-        &self,
-        key: Key,
-        process: Process,
-        (now, ttl): (Duration, Duration),
-    ) -> bool {
-        let Some(failed) = self.0.get(&key) else { return true };
-        !failed.is_by(process) || failed.times < MOST_CONTINUED && now >= failed.last + ttl
+    /// Whether `process` may compute work that another lease computes too. One that failed may not for a time to
+    /// live, or at all if the work failed often: the other lease ends it then.
+    pub(super) fn may_back_up(&self, key: Key, process: Process, now: Duration) -> bool {
+        let Some(failed) = self.works.get(&key) else { return true };
+        !failed.is_by(process) || failed.times < MOST_CONTINUED && now >= failed.last + self.ttl
     }
 
     /// `process` failed at work that another lease still computes: only a second failure counts, and nothing follows yet.
     pub(super) fn note(&mut self, key: Key, process: Process, now: Duration) {
-        let failed = self.0.entry(key).or_default();
+        let failed = self.works.entry(key).or_default();
         failed.times += u32::from(failed.is_by(process));
         failed.add(process, now);
     }
 
     /// When work that waits for processes that have not tried it is next free for the others.
-    pub(super) fn next_try(&self, now: Duration, ttl: Duration) -> Option<Duration> {
-        let waits =
-            self.0.values().filter(|failed| !failed.decided).map(|failed| failed.last + ttl);
-        waits.filter(|at| *at > now).min()
+    pub(super) fn next_try(&self, now: Duration) -> Option<Duration> {
+        let undecided = self.works.values().filter(|failed| !failed.decided);
+        undecided.map(|failed| failed.last + self.ttl).filter(|at| *at > now).min()
     }
 
     /// Counts a failure. `others` are the registered processes.
@@ -104,15 +106,15 @@ impl Failures {
         failure: LeaseFailure,
         process: Process,
         others: impl Iterator<Item = Process>,
-        (now, ttl): (Duration, Duration),
+        now: Duration,
     ) -> Verdict {
-        let failed = self.0.entry(key).or_default();
+        let failed = self.works.entry(key).or_default();
         failed.times += 1;
         failed.start_states += u32::from(failure == LeaseFailure::StartState);
         failed.add(process, now);
         let first = *failed.first.get_or_insert(now);
         let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
-        let tried_by_all = !failed.is_untried_by(others) || now >= first + ttl * most;
+        let tried_by_all = !failed.is_untried_by(others) || now >= first + self.ttl * most;
         let verdict = match begin {
             _ if failed.decided => Verdict::Retry,
             Begin::Continued if failed.start_states >= MOST_START_STATES => Verdict::BeginAgain,
@@ -126,12 +128,12 @@ impl Failures {
 
     /// The work is done, or has other start states.
     pub(super) fn forget(&mut self, key: Key) {
-        self.0.remove(&key);
+        self.works.remove(&key);
     }
 
     /// Another iteration has been opened.
     pub(super) fn forget_slots(&mut self) {
-        self.0.retain(|key, _| key.group != Group::Slots);
+        self.works.retain(|key, _| key.group != Group::Slots);
     }
 }
 
@@ -168,11 +170,11 @@ mod tests {
 
     /// The verdicts on failures of one slot by these processes, while all `registered` are there.
     fn verdicts(begin: Begin, failure: LeaseFailure, by: &[u8], registered: &[u8]) -> Vec<Verdict> {
-        let mut failures = Failures::default();
+        let mut failures = Failures::new(TTL);
         let add = |(second, number): (usize, &u8)| {
             let now = Duration::from_secs(second as u64);
             let others = registered.iter().copied().map(process);
-            failures.add((SLOT, begin), failure, process(*number), others, (now, TTL))
+            failures.add((SLOT, begin), failure, process(*number), others, now)
         };
         by.iter().enumerate().map(add).collect()
     }
@@ -195,12 +197,12 @@ mod tests {
 
     #[test]
     fn a_process_that_failed_waits_for_the_others_but_not_longer_than_a_time_to_live() {
-        let mut failures = Failures::default();
+        let mut failures = Failures::new(TTL);
         let registered = || [1, 2].into_iter().map(process);
-        let (failure, zero) = (LeaseFailure::Environment, (Duration::ZERO, TTL));
+        let (failure, zero) = (LeaseFailure::Environment, Duration::ZERO);
         failures.add((SLOT, Begin::Fresh), failure, process(1), registered(), zero);
         let may_try = |number, secs| {
-            let now = (Duration::from_secs(secs), TTL);
+            let now = Duration::from_secs(secs);
             failures.may_try(SLOT, process(number), registered(), now)
         };
         assert_eq!((may_try(1, 19), may_try(2, 19), may_try(1, 20)), (false, true, true));

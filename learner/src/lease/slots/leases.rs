@@ -73,6 +73,8 @@ pub(super) struct OpenLease {
     /// What happened to each environment of a slot in the chunks so far.
     pub(super) courses: Vec<Course>,
     pub(super) begun: Duration,
+    /// Time to live.
+    ttl: Duration,
     step: u32,
     progress: Duration,
 }
@@ -90,6 +92,7 @@ impl OpenLease {
             episode: None,
             courses: vec![Course::default(); environments(&claimed.work)],
             begun: now,
+            ttl,
             step: 0,
             progress: now,
         }
@@ -97,18 +100,18 @@ impl OpenLease {
 
     /// A heartbeat: extends the lease unless it made no progress for long, or is too old. Only accepted chunks are
     /// progress of a slot; an episode has none, so its steps count.
-    pub(super) fn beat(&mut self, step: u32, now: Duration, ttl: Duration) {
+    pub(super) fn beat(&mut self, step: u32, now: Duration) {
         if matches!(*self.work, Work::Evaluation(_)) && step > self.step {
             self.step = step;
             self.progress = now;
         }
-        self.extend(now, ttl);
+        self.extend(now);
     }
 
-    fn extend(&mut self, now: Duration, ttl: Duration) {
-        let patient = self.progress + ttl * PATIENCE_IN_TTLS;
-        let longest = self.begun + ttl * MOST_AGE_IN_TTLS;
-        self.deadline = (now + ttl).min(patient).min(longest);
+    fn extend(&mut self, now: Duration) {
+        let patient = self.progress + self.ttl * PATIENCE_IN_TTLS;
+        let longest = self.begun + self.ttl * MOST_AGE_IN_TTLS;
+        self.deadline = (now + self.ttl).min(patient).min(longest);
     }
 
     pub(super) fn status(&self, lease: LeaseId, now: Duration) -> LeaseStatus {
@@ -125,13 +128,7 @@ impl OpenLease {
     }
 
     /// Takes in the next part of the result. An audit needs only its digest.
-    pub(super) fn accept(
-        &mut self,
-        digest: Digest,
-        part: ResultPart,
-        now: Duration,
-        ttl: Duration,
-    ) {
+    pub(super) fn accept(&mut self, digest: Digest, part: ResultPart, now: Duration) {
         self.digests.push(digest);
         if self.claim != Claim::Audit {
             match part {
@@ -143,7 +140,7 @@ impl OpenLease {
             }
         }
         self.progress = now;
-        self.extend(now, ttl);
+        self.extend(now);
     }
 
     pub(super) fn same_weights(&self, found: WeightsName) -> Result<(), Refusal> {

@@ -114,10 +114,10 @@ impl SlotTable {
         if let Preview::Repeated(ack) = self.preview(sender, header, sequence)? {
             return Ok(ack);
         }
-        let (now, ttl, id) = (self.now, self.rules.ttl, header.lease);
+        let (now, id) = (self.now, header.lease);
         let parts = sequence.map_or(1, |_| self.rules.chunks_per_slot);
         let accept = |lease: &mut OpenLease| {
-            lease.accept(header.digest, part, now, ttl);
+            lease.accept(header.digest, part, now);
             lease.digests.len() == parts as usize
         };
         let lease_finished = self.open.change(id, accept).unwrap_or(false);
@@ -143,7 +143,7 @@ impl SlotTable {
 
     fn complete_work(&mut self, id: LeaseId, key: Key, lease: OpenLease) {
         let Some(works) = self.works.get_mut(&key.group) else { return };
-        let slow = self.times.backup_age(works).unwrap_or(self.rules.ttl);
+        let slow = self.times.backup_age(works);
         for other in works.other_leases(key.index, id) {
             let Some(slower) = self.open.remove(other) else { continue };
             if slower.digests.is_empty() && self.now - slower.begun >= slow {

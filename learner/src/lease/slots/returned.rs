@@ -52,8 +52,7 @@ impl SlotTable {
             return;
         }
         let others = self.actors.processes.registered(self.rules.least_trust());
-        let now = (self.now, self.rules.ttl);
-        match self.failures.add((key, begin(&lease.work)), failure, process, others, now) {
+        match self.failures.add((key, begin(&lease.work)), failure, process, others, self.now) {
             Verdict::Retry => {}
             Verdict::BeginAgain => {
                 if let Work::Rollout(slot) = &*lease.work {

@@ -16,13 +16,19 @@ const BACKUP_AFTER: u32 = 3;
 const SHORTEST: Duration = Duration::from_secs(1);
 
 /// Times of the latest complete slots and episodes.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct TypicalTimes {
+    /// A lease's time to live.
+    ttl: Duration,
     slots: TypicalTime,
     episodes: TypicalTime,
 }
 
 impl TypicalTimes {
+    pub(super) fn new(ttl: Duration) -> Self {
+        Self { ttl, slots: TypicalTime::default(), episodes: TypicalTime::default() }
+    }
+
     /// Work of this group was complete this long after its lease.
     pub(super) fn add(&mut self, group: Group, time: Duration, work: &Work) {
         let latest = match group {
@@ -32,13 +38,14 @@ impl TypicalTimes {
         latest.add(time, environments(work));
     }
 
-    /// The age at which the work of a group may get a backup lease; `None` before the first complete one of its size.
-    pub(super) fn backup_age(&self, works: &Works) -> Option<Duration> {
+    /// The age at which the work of a group may get a backup lease: a time to live before the first complete
+    /// one of its size.
+    pub(super) fn backup_age(&self, works: &Works) -> Duration {
         let latest = match works.group() {
             Group::Slots => &self.slots,
             Group::Evaluation(_) => &self.episodes,
         };
-        latest.backup_age(works.item_environments())
+        latest.backup_age(works.item_environments()).unwrap_or(self.ttl)
     }
 
     /// The median time of the latest slots, for each environment.
