@@ -1,8 +1,6 @@
 //! Which settings have an effect in a run. A setting that the user gives and that has none is refused: a sweep over it would
 //! be flat.
 
-use std::fmt;
-
 use Condition::{Above0, Environment, Filled, Is, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
@@ -17,25 +15,22 @@ const MLP: Condition = Is("policy.core", &["mlp"]);
 const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
 const MLE: Condition = Is("influence.q_training", &["mle"]);
 
-/// The conditions of one alternative must all hold, and one alternative is enough.
-type Alternatives = &'static [&'static [Condition]];
-
-/// Every setting that can be without an effect.
-const TABLE: &[(&[&str], Alternatives)] = &[
-    (&["run.env_steps"], &[&[Zero("run.iterations")]]),
-    (&["task_file.text"], &[&[Filled("task_file.model")]]),
-    (&["task_file.model"], &[&[Filled("task_file.text")]]),
-    (&["environment_service.description"], &[&[Filled("environment_service.url")]]),
-    (&["observation.mode"], &[&[Environment(Robot)]]),
+/// Every setting that can be without an effect, and the conditions that must all hold for one.
+const TABLE: &[(&[&str], &[Condition])] = &[
+    (&["run.env_steps"], &[Zero("run.iterations")]),
+    (&["task_file.text"], &[Filled("task_file.model")]),
+    (&["task_file.model"], &[Filled("task_file.text")]),
+    (&["environment_service.description"], &[Filled("environment_service.url")]),
+    (&["observation.mode"], &[Environment(Robot)]),
     (
         &["observation.nearest", "observation.globals"],
-        &[&[Environment(Robot), Is("observation.mode", &["k_nearest"])]],
+        &[Environment(Robot), Is("observation.mode", &["k_nearest"])],
     ),
-    (&["observation.contact_forces"], &[&[Environment(Contacts)]]),
-    (&["policy.encoder", "policy.hidden"], &[&[GRU]]),
-    (&["policy.width", "policy.layers"], &[&[MLP]]),
-    (&["policy.sigma_scale", "policy.sigma_floor"], &[&[ON_POLICY, Environment(Continuous)]]),
-    (&["update.parameters"], &[&[Environment(Several)]]),
+    (&["observation.contact_forces"], &[Environment(Contacts)]),
+    (&["policy.encoder", "policy.hidden"], &[GRU]),
+    (&["policy.width", "policy.layers"], &[MLP]),
+    (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
+    (&["update.parameters"], &[Environment(Several)]),
     (
         &[
             "update.gae_lambda",
@@ -51,18 +46,18 @@ const TABLE: &[(&[&str], Alternatives)] = &[
             "critic.huber_delta",
             "critic.normalizer_beta",
         ],
-        &[&[ON_POLICY]],
+        &[ON_POLICY],
     ),
-    (&["surprise.density"], &[&[SURPRISE]]),
-    (&["influence.lambda"], &[&[Environment(Several)]]),
+    (&["surprise.density"], &[SURPRISE]),
+    (&["influence.lambda"], &[Environment(Several)]),
     (
         &["influence.estimator", "influence.q_training", "influence.lag", "influence.kappa"],
-        &[&[INFLUENCE, Environment(Several)]],
+        &[INFLUENCE, Environment(Several)],
     ),
-    (&["influence.encoder", "influence.hidden"], &[&[INFLUENCE, LEARNT, Environment(Several)]]),
+    (&["influence.encoder", "influence.hidden"], &[INFLUENCE, LEARNT, Environment(Several)]),
     (
         &["influence.posterior_sigma_floor"],
-        &[&[INFLUENCE, LEARNT, Environment(Several), Environment(Continuous)]],
+        &[INFLUENCE, LEARNT, Environment(Several), Environment(Continuous)],
     ),
     (
         &[
@@ -71,7 +66,7 @@ const TABLE: &[(&[&str], Alternatives)] = &[
             "influence.minibatches",
             "influence.holdout_every",
         ],
-        &[&[INFLUENCE, LEARNT, MLE, Environment(Several)]],
+        &[INFLUENCE, LEARNT, MLE, Environment(Several)],
     ),
     (
         &[
@@ -83,61 +78,51 @@ const TABLE: &[(&[&str], Alternatives)] = &[
             "maddpg.noise",
             "maddpg.polyak",
         ],
-        &[&[MADDPG]],
+        &[MADDPG],
     ),
-    (&["evaluation.episodes", "evaluation.sampled"], &[&[Above0("evaluation.every_steps")]]),
+    (&["evaluation.episodes", "evaluation.sampled"], &[Above0("evaluation.every_steps")]),
 ];
 
-/// What `key` lacks for an effect: `None` if it has one. What is not known of the environment is assumed to hold.
-fn missing(run: &Run<'_>, key: &str) -> Option<Missing> {
-    let (_, alternatives) = TABLE.iter().find(|(keys, _)| keys.contains(&key))?;
-    let failing = |all: &&[Condition]| -> Vec<Condition> {
-        all.iter().copied().filter(|condition| condition.holds(run) == Some(false)).collect()
-    };
-    let failing: Vec<Vec<Condition>> = alternatives.iter().map(failing).collect();
-    (!failing.iter().any(Vec::is_empty)).then_some(Missing(failing))
+/// The conditions that `key` lacks for an effect; empty if it has one. What is not known of the environment is assumed to
+/// hold.
+fn lacking(run: &Run<'_>, key: &str) -> Vec<Condition> {
+    let conditions = TABLE.iter().find(|(keys, _)| keys.contains(&key)).map(|(_, needed)| *needed);
+    let fails = |condition: &Condition| condition.holds(run) == Some(false);
+    conditions.unwrap_or_default().iter().copied().filter(fails).collect()
 }
 
-/// Conditions that do not hold: all of one list are needed.
-struct Missing(Vec<Vec<Condition>>);
-
-impl Missing {
-    /// The first setting that is not as needed, with its value and origin.
-    fn instead(&self, resolved: &Resolved) -> String {
-        let first = self.0.iter().flatten().find_map(|condition| condition.setting());
-        let shown =
-            |key| format!(", and {key} is {} ({})", resolved.plain(key), resolved.origin(key));
-        first.map_or_else(String::new, shown)
-    }
+/// The conditions in words.
+fn listed(conditions: &[Condition]) -> String {
+    conditions.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ")
 }
 
-impl fmt::Display for Missing {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let all = |conditions: &Vec<Condition>| {
-            conditions.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ")
-        };
-        f.write_str(&self.0.iter().map(all).collect::<Vec<_>>().join(", or "))
-    }
+/// The first setting that is not as needed, with its value and origin.
+fn instead(lacking: &[Condition], resolved: &Resolved) -> String {
+    let first = lacking.iter().find_map(|condition| condition.setting());
+    let shown = |key| format!(", and {key} is {} ({})", resolved.plain(key), resolved.origin(key));
+    first.map_or_else(String::new, shown)
 }
 
 /// Refuses the first setting that the user gave and that has no effect in the run.
 pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
     let resolved = run.resolved;
-    let without = resolved.given.keys().find_map(|key| Some((key, missing(run, key)?)));
-    let Some((key, missing)) = without else { return Ok(()) };
+    let mut given = resolved.given.keys().map(|key| (key, lacking(run, key)));
+    let Some((key, lacking)) = given.find(|(_, lacking)| !lacking.is_empty()) else {
+        return Ok(());
+    };
     Err(ConfigError::NoEffect {
         place: resolved.origin(key).to_owned(),
         key: key.clone(),
-        needs: format!("{missing}{}", missing.instead(resolved)),
+        needs: format!("{}{}", listed(&lacking), instead(&lacking, resolved)),
     })
 }
 
 /// Remarks on settings without an effect, for the comments of a configuration; empty for other settings.
 pub(crate) fn remarks(config: &RunConfig) -> impl Fn(&str) -> String {
     let run = Run::of(config, None);
-    move |key| {
-        let missing = missing(&run, key);
-        missing.map_or_else(String::new, |missing| format!("; no effect: it needs {missing}"))
+    move |key| match lacking(&run, key).as_slice() {
+        [] => String::new(),
+        lacking => format!("; no effect: it needs {}", listed(lacking)),
     }
 }
 
