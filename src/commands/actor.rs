@@ -11,8 +11,8 @@ use recording::trajectory_log::{FILE_BYTES, LogConfig};
 use tokio::sync::watch;
 
 use crate::commands::control::seconds;
+use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
-use crate::config::{ConfigError, Request, layers};
 use crate::errors::Usage;
 use crate::listening;
 use crate::process::{runtime, signals};
@@ -119,9 +119,7 @@ fn log(arguments: ActorLogArguments) -> Result<Option<LogConfig>, ConfigError> {
     let (Some(folder), Some(episodes)) = (arguments.log_dir, arguments.log_episodes) else {
         return Ok(None);
     };
-    let settings = vec![format!("log.episodes={episodes}")];
-    let resolved = layers::resolve(&Request { settings, ..Request::default() })?;
-    let episodes = RunConfig::build(resolved)?.log.episodes;
+    let episodes = RunConfig::with(&[&format!("log.episodes={episodes}")])?.log.episodes;
     Ok(Some(LogConfig { folder, episodes, file_bytes: FILE_BYTES }))
 }
 

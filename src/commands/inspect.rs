@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 
 use crate::config::run_config::RunConfig;
-use crate::config::{Request, effect, layers};
+use crate::config::{Request, effect};
 use crate::process::output;
 use crate::run::checkpointed;
 use crate::run::launch::SettingsArguments;
@@ -15,7 +15,7 @@ use crate::run::launch::SettingsArguments;
 /// Prints TOML that `--config` can read again.
 pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
     let request = Request::from_process(arguments.files.clone(), arguments.written());
-    let config = RunConfig::build(layers::resolve(&request)?)?;
+    let config = RunConfig::of(&request)?;
     output::line(config.resolved.to_toml_with_origins(effect::remarks(&config)));
     output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));
     Ok(())

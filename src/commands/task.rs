@@ -10,7 +10,6 @@ use sim::{EnvironmentBatch, Outcome, Pose, Robot, TaskDefinition};
 
 use super::tasks;
 use crate::config::run_config::RunConfig;
-use crate::config::{Request, layers};
 use crate::errors::Usage;
 use crate::film::{self, Frame, RobotShapes};
 use crate::process::target::{ForceArguments, Target};
@@ -97,9 +96,7 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     let film = arguments.film.as_ref();
     let film = film.map(|path| Target::named("--film", path, "png", arguments.force.existing()));
     let film = film.transpose()?;
-    let settings = vec![format!("task={}", arguments.task)];
-    let request = Request { settings, ..Request::default() };
-    let config = RunConfig::build(layers::resolve(&request)?)?;
+    let config = RunConfig::with(&[&format!("task={}", arguments.task)])?;
     let mut world = sim::environments(&config.task, 1).context("cannot build the task")?;
     let Some(robot) = world.robot() else {
         let why = format!("{} is a game: it has no robot to check", arguments.task);

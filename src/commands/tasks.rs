@@ -9,7 +9,6 @@ use serde_json::json;
 use sim::EnvironmentBatch;
 
 use crate::config::run_config::RunConfig;
-use crate::config::{Request, layers};
 use crate::film::{self, RobotShapes};
 use crate::process::target::ForceArguments;
 use crate::process::{output, target};
@@ -53,8 +52,7 @@ pub(super) fn run(arguments: &TasksArguments) -> anyhow::Result<()> {
 }
 
 fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
-    let request = Request { settings: vec![task.to_owned()], ..Request::default() };
-    let config = RunConfig::build(layers::resolve(&request)?)?;
+    let config = RunConfig::with(&[task])?;
     sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
 }
 

@@ -45,14 +45,11 @@ pub(crate) fn set(resolved: &mut Resolved, steps: u64) {
 
 #[cfg(test)]
 mod tests {
+    use crate::config::ConfigError;
     use crate::config::run_config::RunConfig;
-    use crate::config::{ConfigError, Request, layers};
 
     fn built(settings: &[&str]) -> Result<usize, ConfigError> {
-        let settings = settings.iter().map(|s| (*s).to_owned()).collect();
-        let config =
-            RunConfig::build(layers::resolve(&Request { settings, ..Request::default() })?)?;
-        Ok(config.learner.environments.message_steps)
+        Ok(RunConfig::with(settings)?.learner.environments.message_steps)
     }
 
     #[test]

@@ -109,6 +109,17 @@ pub(crate) struct RunConfig {
 }
 
 impl RunConfig {
+    /// The configuration with the settings that `request` names, as [`Self::build`].
+    pub(crate) fn of(request: &Request) -> Result<Self, ConfigError> {
+        Self::build(layers::resolve(request)?)
+    }
+
+    /// The configuration with these settings, and no others of this process.
+    pub(crate) fn with(settings: &[&str]) -> Result<Self, ConfigError> {
+        let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
+        Self::of(&Request { settings, ..Request::default() })
+    }
+
     /// Checks all settings and converts them to the crates' types. An error names the place where the user wrote the setting
     /// that causes it.
     pub(crate) fn build(resolved: Resolved) -> Result<Self, ConfigError> {
@@ -121,7 +132,7 @@ impl RunConfig {
 
     pub(super) fn of_file(file: &Path) -> Result<Self, ConfigError> {
         let resumed = Some(file.to_path_buf());
-        Self::build(layers::resolve(&Request { resumed, ..Request::default() })?)
+        Self::of(&Request { resumed, ..Request::default() })
     }
 
     /// Converts the settings to the crates' types.

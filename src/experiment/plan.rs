@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use super::file::{ExperimentFile, Variant, assignments};
+use crate::config::Request;
 use crate::config::run_config::RunConfig;
-use crate::config::{Request, layers};
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
 
@@ -105,7 +105,7 @@ fn planned(
 fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {
     let mut request = Request::from_process(Vec::new(), settings.to_vec());
     request.settings_place = Some(place.to_owned());
-    Ok(RunConfig::build(layers::resolve(&request)?)?)
+    Ok(RunConfig::of(&request)?)
 }
 
 /// A shorter interval between evaluations for a run that is too short for the default one. `place` is the origin of what the

@@ -5,7 +5,6 @@ use tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::*;
 use crate::config::run_config::RunConfig;
-use crate::config::{Request, layers};
 use crate::figures::style::Rgb;
 
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
@@ -107,8 +106,7 @@ fn a_strip_is_as_large_as_it_says_and_shows_every_agent() {
 #[test]
 fn of_every_task_each_agent_drives_as_many_links_as_it_has_joints() {
     for task in sim::task_names() {
-        let request = Request { settings: vec![(*task).to_owned()], ..Request::default() };
-        let config = RunConfig::build(layers::resolve(&request).unwrap()).unwrap();
+        let config = RunConfig::with(&[task]).unwrap();
         let world = sim::environments(&config.task, 1).unwrap();
         let pose = world.pose(0);
         // A game has nothing to draw.

@@ -134,12 +134,12 @@ fn run_in_place(settings: &SettingsArguments) -> Result<Option<PathBuf>, ConfigE
 fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Result<RunConfig> {
     let mut request = Request::from_process(settings.files.clone(), settings.written());
     let Some(folder) = resumed else {
-        return Ok(RunConfig::build(layers::resolve(&request)?)?);
+        return Ok(RunConfig::of(&request)?);
     };
     demand_resumable(folder)?;
     let (file, old) = settings_of_run(folder)?;
     request.resumed = Some(file);
-    let new = RunConfig::build(layers::resolve(&request)?)?;
+    let new = RunConfig::of(&request)?;
     resume::check(&old, &new)?;
     refuse_other_folder(&new, &old)?;
     Ok(new)

@@ -136,13 +136,10 @@ mod tests {
     use proto::{Digest, Incarnation};
 
     use super::*;
-    use crate::config::{Request, layers};
 
     fn config(settings: &[&str]) -> RunConfig {
         let url = "environment_service.url=http://localhost:7";
-        let settings = [settings, &[url]].concat().into_iter().map(str::to_owned).collect();
-        RunConfig::build(layers::resolve(&Request { settings, ..Request::default() }).unwrap())
-            .unwrap()
+        RunConfig::with(&[settings, &[url]].concat()).unwrap()
     }
 
     /// A run of two agents that observe so many features each.

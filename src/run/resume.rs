@@ -110,12 +110,9 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::config::{Request, layers};
 
     fn config(settings: &[&str]) -> RunConfig {
-        let settings = settings.iter().map(|s| (*s).to_owned()).collect();
-        let resolved = layers::resolve(&Request { settings, ..Request::default() }).unwrap();
-        RunConfig::build(resolved).unwrap()
+        RunConfig::with(settings).unwrap()
     }
 
     #[test]

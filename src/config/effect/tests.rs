@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use proto::EnvironmentSpec;
 
 use super::*;
-use crate::config::{Request, layers};
+use crate::config::Request;
 
 const OUTSIDE: &str = "environment_service.url=http://localhost:7";
 
@@ -32,13 +32,8 @@ const CASES: &[Case] = &[
     ("evaluation.sampled=true", &[], &["evaluation.every_steps=0"]),
 ];
 
-fn resolved(settings: &[&str]) -> Result<RunConfig, ConfigError> {
-    let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
-    RunConfig::build(layers::resolve(&Request { settings, ..Request::default() })?)
-}
-
 fn refusal(settings: &[&str]) -> String {
-    resolved(settings).expect_err("refused").to_string()
+    RunConfig::with(settings).expect_err("refused").to_string()
 }
 
 #[test]
@@ -46,7 +41,7 @@ fn every_setting_with_conditions_exists_and_is_listed_once() {
     let listed: Vec<&str> = TABLE.iter().flat_map(|(keys, _)| keys.iter().copied()).collect();
     let distinct: BTreeSet<&str> = listed.iter().copied().collect();
     assert_eq!(distinct.len(), listed.len(), "a setting is listed twice");
-    let defaults = resolved(&[]).unwrap().resolved;
+    let defaults = RunConfig::with(&[]).unwrap().resolved;
     assert!(listed.iter().all(|key| defaults.entries.contains_key(*key)));
 }
 
@@ -54,7 +49,7 @@ fn every_setting_with_conditions_exists_and_is_listed_once() {
 fn a_setting_is_taken_where_it_has_an_effect_and_refused_by_name_where_it_has_none() {
     for (setting, with, without) in CASES {
         let given = |others: &[&'static str]| [others, &[*setting]].concat();
-        assert_eq!(resolved(&given(with)).err(), None, "{setting} {with:?}");
+        assert_eq!(RunConfig::with(&given(with)).err(), None, "{setting} {with:?}");
         let (key, _) = setting.split_once('=').unwrap();
         let message = refusal(&given(without));
         let expected = format!("command line: `{key}` has no effect in this run: it needs ");
@@ -97,13 +92,13 @@ fn a_refusal_names_the_setting_the_place_and_what_is_needed_instead() {
 fn what_only_the_simulator_has_is_refused_for_an_environment_from_outside() {
     let message = refusal(&[OUTSIDE, "observation.mode=k_nearest"]);
     assert!(message.contains("it needs a robot of the simulator"), "{message}");
-    assert!(resolved(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).is_ok());
+    assert!(RunConfig::with(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).is_ok());
 }
 
 #[test]
 fn an_environment_from_outside_decides_about_settings_once_it_is_known() {
-    let config = resolved(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).unwrap();
-    let world = sim::environments(&resolved(&["cue-2x1"]).unwrap().task, 1).unwrap();
+    let config = RunConfig::with(&[OUTSIDE, "policy.sigma_floor=0.1", "influence.lag=1"]).unwrap();
+    let world = sim::environments(&RunConfig::with(&["cue-2x1"]).unwrap().task, 1).unwrap();
     let mut spec = world.description().clone();
     let refused = |spec: &EnvironmentSpec| {
         config.demand_suitable(Some(spec)).expect_err("refused").to_string()
@@ -119,7 +114,7 @@ fn of_file(text: &str, settings: &[&str]) -> Result<RunConfig, ConfigError> {
     std::fs::write(&file, text).unwrap();
     let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
     let request = Request { files: vec![file], settings, ..Request::default() };
-    RunConfig::build(layers::resolve(&request)?)
+    RunConfig::of(&request)
 }
 
 #[test]
@@ -127,8 +122,8 @@ fn a_file_and_a_variable_are_refused_as_an_argument_is() {
     let message = of_file("[policy]\nlayers = 3\n", &[]).expect_err("refused").to_string();
     assert!(message.contains("mine.toml: `policy.layers` has no effect"), "{message}");
     let environment = vec![("S2MIA__MADDPG__BATCH".to_owned(), "10".to_owned())];
-    let resolved = layers::resolve(&Request { environment, ..Request::default() }).unwrap();
-    let message = RunConfig::build(resolved).expect_err("refused").to_string();
+    let request = Request { environment, ..Request::default() };
+    let message = RunConfig::of(&request).expect_err("refused").to_string();
     assert!(
         message.starts_with("environment variable S2MIA__MADDPG__BATCH: `maddpg.batch`"),
         "{message}"
@@ -138,7 +133,7 @@ fn a_file_and_a_variable_are_refused_as_an_argument_is() {
 #[test]
 fn a_whole_configuration_may_be_given_again_and_a_change_in_it_that_has_no_effect_is_refused() {
     for settings in [&["ant-2x4", "algorithm=happo"][..], &["cue-2x1", "preset=paper"]] {
-        let text = resolved(settings).unwrap().resolved.to_toml();
+        let text = RunConfig::with(settings).unwrap().resolved.to_toml();
         assert!(of_file(&text, &["run.seed=3"]).is_ok());
         let changed = text.replace("batch = 1000", "batch = 999");
         let message = of_file(&changed, &[]).expect_err("refused").to_string();
@@ -150,12 +145,12 @@ fn a_whole_configuration_may_be_given_again_and_a_change_in_it_that_has_no_effec
 fn a_run_with_a_recorded_setting_without_effect_is_resumed_also_if_it_is_given_again() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("config.toml");
-    let text = resolved(&[]).unwrap().resolved.to_toml();
+    let text = RunConfig::with(&[]).unwrap().resolved.to_toml();
     std::fs::write(&file, text.replace("width = 128\n", "width = 99\n")).unwrap();
     let resumed = |setting: &str| {
         let settings = vec![setting.to_owned()];
         let request = Request { resumed: Some(file.clone()), settings, ..Request::default() };
-        RunConfig::build(layers::resolve(&request).unwrap())
+        RunConfig::of(&request)
     };
     assert!(resumed("policy.width=99").is_ok());
     assert!(resumed("policy.width=98").is_err());
@@ -164,13 +159,13 @@ fn a_run_with_a_recorded_setting_without_effect_is_resumed_also_if_it_is_given_a
 #[test]
 fn a_later_setting_that_switches_another_off_is_taken_and_the_other_order_is_refused() {
     let (length, other) = ("run.env_steps=3000", "run.iterations=2");
-    assert!(resolved(&[length, other]).is_ok());
+    assert!(RunConfig::with(&[length, other]).is_ok());
     assert!(refusal(&[other, length]).contains("it needs run.iterations = 0"));
 }
 
 #[test]
 fn a_printed_configuration_remarks_on_what_has_no_effect() {
-    let config = resolved(&[]).unwrap();
+    let config = RunConfig::with(&[]).unwrap();
     let text = config.resolved.to_toml_with_origins(remarks(&config));
     let line =
         text.lines().find(|line| line.starts_with("layers = 3  # configs/base.toml;")).unwrap();

@@ -40,17 +40,6 @@ fn every_layer_wins_over_the_one_before_it() {
 }
 
 #[test]
-fn the_algorithm_file_sets_the_three_weights_of_a_variant() {
-    let weights = |algorithm: &str| {
-        let resolved = resolve(&request(&[&format!("algorithm={algorithm}")])).unwrap();
-        ["surprise.alpha", "influence.lambda", "update.entropy"]
-            .map(|key| resolved.entries[key].value.clone())
-    };
-    assert_eq!(weights("happo-s2mia"), [0.01, 0.01, 0.0].map(Value::Float));
-    assert_eq!(weights("happo"), [0.0, 0.0, 0.01].map(Value::Float));
-}
-
-#[test]
 fn an_environment_from_outside_takes_the_settings_of_a_task_only_if_it_is_named() {
     let epochs = |settings: &[&str]| {
         let resolved = resolve(&request(settings)).unwrap();
@@ -111,7 +100,7 @@ fn a_value_of_the_wrong_kind_is_refused_with_the_expected_one() {
 }
 
 #[test]
-fn an_unknown_task_is_refused_with_the_nearest_and_all_known_ones() {
+fn an_unknown_name_is_refused_with_the_nearest_and_all_known_ones() {
     assert_eq!(
         refusal(&["halfcheetah-6x2"]),
         "command line: unknown task `halfcheetah-6x2`; did you mean `halfcheetah-3x2`?; \
@@ -119,6 +108,10 @@ fn an_unknown_task_is_refused_with_the_nearest_and_all_known_ones() {
          walker2d-2x3, walker2d-3x2, walker2d-6x1, ant-2x4, ant-2x4d, ant-4x2, ant-8x1"
     );
     assert!(refusal(&["algorithm=ppo"]).starts_with("command line: unknown algorithm `ppo`"));
+    assert_eq!(
+        refusal(&["preset=harrl"]),
+        "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, harl, paper"
+    );
 }
 
 #[test]
@@ -312,12 +305,4 @@ fn every_table_of_a_preset_is_for_a_known_task_and_algorithm() {
             }
         }
     }
-}
-
-#[test]
-fn an_unknown_preset_is_refused_with_all_known_ones() {
-    assert_eq!(
-        refusal(&["preset=harrl"]),
-        "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, harl, paper"
-    );
 }

@@ -1,12 +1,6 @@
 //! Values that exclude each other are refused by key, value and reason.
 
 use super::*;
-use crate::config::{Request, layers};
-
-fn built(settings: &[&str]) -> Result<RunConfig, ConfigError> {
-    let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
-    RunConfig::build(layers::resolve(&Request { settings, ..Request::default() })?)
-}
 
 /// Settings that break one rule, and the value that is refused.
 const CASES: &[(&[&str], &str)] = &[
@@ -32,7 +26,7 @@ const CASES: &[(&[&str], &str)] = &[
 fn every_rule_refuses_a_value_with_the_allowed_ones() {
     assert_eq!(TABLE.len(), CASES.len());
     for (rule, (settings, value)) in TABLE.iter().zip(CASES) {
-        let message = built(settings).expect_err("refused").to_string();
+        let message = RunConfig::with(settings).expect_err("refused").to_string();
         let expected = format!("{value} is out of range: {}", rule.allowed);
         assert!(message.starts_with("command line: ") && message.ends_with(&expected), "{message}");
     }
@@ -45,7 +39,7 @@ fn a_value_is_taken_where_no_rule_refuses_it() {
         &["influence.q_training=shared"],
         &["environment_service.url=http://localhost:7", "observation.norm=running"],
     ] {
-        assert!(built(settings).is_ok(), "{settings:?}");
+        assert!(RunConfig::with(settings).is_ok(), "{settings:?}");
     }
 }
 
@@ -62,14 +56,14 @@ fn numbers_of_several_sections_must_fit() {
             "command line: maddpg.replay = 9 is out of range: at least environments.count = 10",
         ),
     ] {
-        let message = built(settings).expect_err("refused").to_string();
+        let message = RunConfig::with(settings).expect_err("refused").to_string();
         assert!(message.starts_with(expected), "{message}");
     }
 }
 
 #[test]
 fn agents_with_shared_parameters_must_have_equal_sizes() {
-    let config = built(&["update.parameters=shared"]).unwrap();
+    let config = RunConfig::with(&["update.parameters=shared"]).unwrap();
     let world = sim::environments(&config.task, 1).unwrap();
     let mut spec = world.description().clone();
     assert_eq!(config.demand_suitable(Some(&spec)), Ok(()));

@@ -3,11 +3,6 @@
 use super::*;
 use crate::config::presets;
 
-fn built(settings: &[&str]) -> Result<RunConfig, ConfigError> {
-    let settings = settings.iter().map(|s| (*s).to_owned()).collect();
-    RunConfig::build(layers::resolve(&Request { settings, ..Request::default() }).unwrap())
-}
-
 fn tasks_and_presets() -> Vec<(&'static str, &'static str)> {
     let presets = || presets::PRESETS.iter().map(|preset| preset.name);
     presets::TASKS.iter().flat_map(|task| presets().map(|preset| (task.name, preset))).collect()
@@ -21,7 +16,7 @@ fn every_task_with_every_algorithm_and_preset_is_valid_but_a_game_with_maddpg() 
                 continue;
             }
             let algorithm = format!("algorithm={}", algorithm.name);
-            let config = built(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
+            let config = RunConfig::with(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
             assert_eq!(config.task.task, task);
             sim::environments(&config.task, 1).unwrap();
         }
@@ -34,10 +29,13 @@ fn an_external_environment_suits_every_algorithm_and_preset() {
     for algorithm in presets::ALGORITHMS {
         for preset in presets::PRESETS {
             let algorithm = format!("algorithm={}", algorithm.name);
-            built(&[url, &algorithm, &format!("preset={}", preset.name)]).unwrap();
+            RunConfig::with(&[url, &algorithm, &format!("preset={}", preset.name)]).unwrap();
         }
     }
-    assert_eq!(built(&[url, harl]).unwrap().resolved.text("observation.norm"), "feature_z");
+    assert_eq!(
+        RunConfig::with(&[url, harl]).unwrap().resolved.text("observation.norm"),
+        "feature_z"
+    );
 }
 
 #[test]
@@ -53,7 +51,7 @@ fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
         for (task, preset) in tasks_and_presets() {
             let settings = [task, &format!("algorithm={algorithm}"), &format!("preset={preset}")];
             let marl::Config { update, surprise, influence, .. } =
-                built(&settings).unwrap().training;
+                RunConfig::with(&settings).unwrap().training;
             let harls = preset == "harl" && ["walker2d-2x3", "ant-4x2"].contains(&task);
             let entropy = if algorithm == "happo" && harls { 0.0 } else { entropy };
             let found = (surprise.alpha, influence.lambda, update.entropy);
@@ -64,7 +62,7 @@ fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
 
 #[test]
 fn maddpg_is_refused_for_choices_by_its_own_key() {
-    let message = built(&["cue-2x1", "algorithm=maddpg"]).unwrap_err().to_string();
+    let message = RunConfig::with(&["cue-2x1", "algorithm=maddpg"]).unwrap_err().to_string();
     let expected = "command line: algorithm = maddpg does not fit: update.rule = maddpg is out of \
                     range: happo or mappo for a task with discrete actions";
     assert_eq!(message, expected);
@@ -72,10 +70,10 @@ fn maddpg_is_refused_for_choices_by_its_own_key() {
 
 #[test]
 fn the_default_run_is_a_million_env_steps() {
-    let config = built(&[]).unwrap();
+    let config = RunConfig::with(&[]).unwrap();
     assert_eq!((config.iterations(), config.env_steps()), (1000, 1_000_000));
-    assert_eq!(built(&["run.env_steps=1001"]).unwrap().iterations(), 2);
-    assert_eq!(built(&["run.iterations=5"]).unwrap().env_steps(), 5_000);
+    assert_eq!(RunConfig::with(&["run.env_steps=1001"]).unwrap().iterations(), 2);
+    assert_eq!(RunConfig::with(&["run.iterations=5"]).unwrap().env_steps(), 5_000);
 }
 
 #[test]
@@ -105,8 +103,9 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         ("log.episodes=some", "log.episodes"),
         ("log.episodes=0", "log.episodes"),
     ] {
-        let message =
-            built(&["halfcheetah-6x1", "algorithm=happo", setting]).unwrap_err().to_string();
+        let message = RunConfig::with(&["halfcheetah-6x1", "algorithm=happo", setting])
+            .unwrap_err()
+            .to_string();
         assert!(message.starts_with("command line: "), "{message}");
         assert!(message.contains(key) && !message.contains('\n'), "{message}");
     }
