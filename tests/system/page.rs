@@ -8,8 +8,8 @@ use std::process::Command;
 use serde_json::Value;
 
 use crate::commands::Background;
-use crate::runs::{Runs, TINY, succeeded};
-use crate::waiting::{eventually, has_begun};
+use crate::runs::{Runs, TINY, inspect, succeeded, train};
+use crate::waiting::eventually;
 
 /// A learner with its page, and its actors.
 struct Learner {
@@ -204,15 +204,24 @@ fn other_hosts_and_methods_are_rejected_and_the_page_may_not_load_external_conte
 }
 
 #[test]
-fn idle_connections_do_not_block_the_run_and_other_viewers_only_briefly() {
+fn idle_connections_and_continuous_requests_do_not_block_the_run_or_affect_its_weights() {
     let runs = Runs::new();
-    let folder = runs.folder("run");
-    let mut learner = Learner::start(&folder, "127.0.0.1:0");
+    let (plain, watched) = (runs.folder("plain"), runs.folder("watched"));
+    train(&plain, &["run.iterations=3", "--page", "off"]);
+    let mut learner = Learner::start(&watched, "127.0.0.1:0");
     let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(&learner.page).unwrap()).collect();
     learner.add_actor(&[]);
-    has_begun(&folder);
-    assert_eq!(learner.json("/api/status")["status"]["run_id"], "run");
-    drop(silent);
+    eventually(|| {
+        let paths = ["/", "/api/run", "/api/status", "/api/curves", "/api/film", "/metrics"];
+        paths.iter().for_each(|path| drop(learner.get(path)));
+        // An iteration's provenance is written after its metrics.
+        let iteration = last_iteration(&watched)["iteration"].as_u64().unwrap_or_default();
+        if iteration > 3 { Ok(()) } else { Err(format!("{iteration} iterations of 4")) }
+    });
+    drop((learner, silent));
+    let provenance = std::fs::read_to_string(watched.join("provenance.jsonl")).unwrap();
+    let third: Value = serde_json::from_str(provenance.lines().nth(2).unwrap()).unwrap();
+    assert_eq!(third["weights_sha256"], inspect(&plain)["weights_sha256"]);
 }
 
 #[test]
