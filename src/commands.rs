@@ -81,7 +81,7 @@ pub(crate) enum Command {
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(plot::PlotArguments),
     /// Serve a web page with the curves of several runs in the same charts; follows runs that still grow.
-    Page(page::PageArguments),
+    Page(page::RunsPageArguments),
     /// Train tasks x variants x seeds in parallel, then make a table and figures; repeat the command to resume.
     Experiment(experiment::ExperimentArguments),
     /// Write a trained policy as ONNX files, one per agent, for use in other programs.

@@ -18,7 +18,7 @@ use crate::run::run_path;
 
 /// `s2mia page`
 #[derive(Args, Debug)]
-pub(crate) struct PageArguments {
+pub(crate) struct RunsPageArguments {
     /// Run folders, finished or growing [default: all runs in ./runs].
     #[arg(value_name = "RUN")]
     pub(crate) runs: Vec<PathBuf>,
@@ -39,8 +39,8 @@ pub(crate) struct PageArguments {
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Serves the page until the process is stopped.
-pub(super) fn run(arguments: &PageArguments) -> anyhow::Result<()> {
-    let PageArguments { listen, access, .. } = arguments;
+pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
+    let RunsPageArguments { listen, access, .. } = arguments;
     let permission =
         "pass --insecure-allow-remote-page to allow that, and --page-host with the names they use";
     access.check("--listen", *listen, permission)?;
