@@ -42,8 +42,8 @@ mod config {
 mod errors;
 #[path = "."]
 mod process {
-    #[path = "../../src/process/home.rs"]
-    pub(crate) mod home;
+    #[path = "../../src/process/shell.rs"]
+    pub(crate) mod shell;
 }
 
 use std::path::{Path, PathBuf};

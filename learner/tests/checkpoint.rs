@@ -5,7 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use learner::config::CheckpointConfig;
-use learner::store::checkpoint::{self, Before, Checkpoint, CheckpointError, Loaded, RunSettings, Saved, Step};
+use learner::store::checkpoint::{
+    self, Before, Checkpoint, CheckpointError, Loaded, RunSettings, Saved, Step,
+};
 use policy::arrays::{Array, NamedArrays};
 
 fn checkpoint(iteration: u64) -> Checkpoint {

@@ -13,7 +13,7 @@ use super::conditions::Run;
 use super::error::{ConfigError, in_words};
 use super::layers::{self, Request};
 use super::resolved::Resolved;
-use super::{effect, message_steps, rules};
+use super::{effect, message_steps, own_task, rules};
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -70,21 +70,11 @@ impl EnvironmentSection {
 /// The sections that only this program combines.
 #[derive(Deserialize)]
 struct Sections {
-    task: String,
-    task_file: TaskFile,
     run: RunSection,
     environment_service: EnvironmentSection,
     observation: sim::ObservationConfig,
     policy: policy::PolicyConfig,
     log: recording::trajectory_log::LogSettings,
-}
-
-/// The section `task_file`.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TaskFile {
-    text: String,
-    model: String,
 }
 
 /// The whole configuration of a run.
@@ -139,13 +129,14 @@ impl RunConfig {
     fn read(resolved: Resolved) -> Result<Self, ConfigError> {
         let text = resolved.to_toml();
         let sections: Sections = typed(&resolved, &text)?;
-        let TaskFile { text: file, model } = sections.task_file;
+        let [file, model] =
+            [own_task::FILE, own_task::MODEL].map(|key| resolved.text(key).to_owned());
         let definition = (!file.is_empty()).then_some(TaskDefinition { file, model });
         Ok(Self {
             run: sections.run,
             environment: sections.environment_service,
             task: sim::TaskConfig {
-                task: sections.task,
+                task: resolved.text("task").to_owned(),
                 definition,
                 observation: sections.observation,
             },

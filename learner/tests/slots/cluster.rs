@@ -4,7 +4,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use learner::lease::slots::{ConnectionId, Effect, Offer, ResultPart, SlotRollout, SlotTable, Trust};
+use learner::lease::slots::{
+    ConnectionId, Effect, Offer, ResultPart, SlotRollout, SlotTable, Trust,
+};
 use proto::{
     ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, ProcessId, PushHeader, Reason,
     Refusal, Work,

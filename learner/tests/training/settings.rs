@@ -5,7 +5,10 @@ mod small;
 
 use std::path::Path;
 
-use learner::config::{AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint, LeaseConfig, Phase, ThreadsConfig};
+use learner::config::{
+    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint,
+    LeaseConfig, Phase, ThreadsConfig,
+};
 use learner::launch::Launch;
 use marl::SurpriseConfig;
 use marl::config::{CriticCore, DensityKind, Rule};
