@@ -16,11 +16,11 @@ use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use crate::config::{CriticConfig, CriticCore};
+pub(crate) use crate::critic::loss::explained_variance;
 use crate::critic::loss::mean_explained;
-pub use crate::critic::loss::{explained_variance, huber, value_loss};
+pub use crate::critic::loss::value_loss;
 pub(crate) use crate::critic::mode::CriticMode;
-pub use crate::critic::recurrent::Unrolled;
-use crate::critic::recurrent::{Memory, SequenceStart};
+use crate::critic::recurrent::{Memory, SequenceStart, Unrolled};
 pub(crate) use crate::critic::state_scale::StateScale;
 use crate::critic::value_normalizer::ValueNormalizer;
 use crate::data::batch::Batch;
@@ -38,7 +38,7 @@ use crate::state::{Visitor, visit_parameters};
 
 /// [`InputNorm`], then layers of Linear, ReLU, LayerNorm, then a GRU with its LayerNorm if configured, then `V` values,
 /// each normalised by its own returns. [`CriticMode`] selects the valued rewards.
-pub struct Critic {
+pub(crate) struct Critic {
     config: CriticConfig,
     seed: RunSeed,
     /// Number of values, `V`.
@@ -56,7 +56,7 @@ pub struct Critic {
 
 /// A critic's values of a batch before it is trained on it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Values {
+pub(crate) struct Values {
     /// Normalised values, the network's output, `[T * B, V]`.
     pub normalized: Vec<f64>,
     /// Value of every row's state, `[V][T, B]`, in units of the return.
@@ -71,7 +71,7 @@ pub struct Values {
 
 /// Metrics of a fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CriticFigures {
+pub(crate) struct CriticFigures {
     /// Mean loss over all optimiser steps, squared normalised units.
     pub loss: f64,
     /// Mean gradient norm before clipping.
@@ -99,7 +99,7 @@ impl Critic {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn new(
+    pub(crate) fn new(
         config: &CriticConfig,
         (adam_epsilon, chunk_steps): (f64, usize),
         (inputs, count): (usize, usize),
@@ -138,7 +138,7 @@ impl Critic {
     }
 
     /// Sets the fraction of the configured learning rate for the next steps.
-    pub fn scale_learning_rate(&mut self, share: f64) {
+    pub(crate) fn scale_learning_rate(&mut self, share: f64) {
         self.adam.scale_learning_rate(share);
     }
 
@@ -171,7 +171,7 @@ impl Critic {
     ///
     /// # Panics
     /// If the states do not have the shapes of `batch`.
-    pub fn values(&self, batch: &Batch) -> Result<Values, MarlError> {
+    pub(crate) fn values(&self, batch: &Batch) -> Result<Values, MarlError> {
         let finals: Vec<f32> = batch.finals.iter().flat_map(|last| &last.state).copied().collect();
         assert_shape("states", batch.state.len(), batch.rows() * self.inputs);
         assert_shape("final states", finals.len(), batch.finals.len() * self.inputs);
@@ -204,7 +204,7 @@ impl Critic {
     }
 
     /// Keeps the recurrent states in which the rollout of `values` ended for the next rollout.
-    pub fn carry(&mut self, values: &Values) {
+    pub(crate) fn carry(&mut self, values: &Values) {
         if let (Some(memory), Some(unrolled)) = (&mut self.memory, &values.unrolled) {
             memory.carry(unrolled);
         }
@@ -217,7 +217,7 @@ impl Critic {
     ///
     /// # Panics
     /// If the shapes of `batch`, `values` and `returns` differ.
-    pub fn fit(
+    pub(crate) fn fit(
         &mut self,
         batch: &Batch,
         values: &Values,

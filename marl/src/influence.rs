@@ -5,9 +5,9 @@
 //! policy, and `KL[q || p]` rewards a policy for moving away from it, up to the cap. `mutual_information` on held-out
 //! environments shows how near to 0 the estimate is.
 
-pub mod count;
-pub mod posterior;
-pub mod second_head;
+pub(crate) mod count;
+pub(crate) mod posterior;
+pub(crate) mod second_head;
 
 use crate::distribution::HeadRows;
 use crate::shape::assert_shape;
@@ -24,8 +24,7 @@ pub fn influence(row: usize, q: &HeadRows, p: &HeadRows, kappa: f64) -> (f64, f6
 ///
 /// # Panics
 /// If the shapes differ.
-#[must_use]
-pub fn posterior_gradient(weight: f64, q: &HeadRows, p: &HeadRows, kappa: f64) -> HeadRows {
+pub(crate) fn posterior_gradient(weight: f64, q: &HeadRows, p: &HeadRows, kappa: f64) -> HeadRows {
     q.assert_same_shape(p);
     let (distribution, mut gradient) = (q.distribution(), q.zeros());
     for row in 0..q.count() {
@@ -36,8 +35,7 @@ pub fn posterior_gradient(weight: f64, q: &HeadRows, p: &HeadRows, kappa: f64) -
 }
 
 /// Eq. (5): `J~ = J + lambda I`, an objective with the influence term. `influence` is in nats.
-#[must_use]
-pub fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64 {
+pub(crate) fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64 {
     objective + lambda * influence
 }
 
@@ -47,8 +45,7 @@ pub fn regularized_objective(objective: f64, lambda: f64, influence: f64) -> f64
 ///
 /// # Panics
 /// If the shapes differ.
-#[must_use]
-pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Option<f64> {
+pub(crate) fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Option<f64> {
     let count = log_conditional.len();
     assert_shape("log_marginal", log_marginal.len(), count);
     let difference = |(conditional, marginal): (&f64, &f64)| conditional - marginal;
@@ -59,8 +56,7 @@ pub fn mutual_information(log_conditional: &[f64], log_marginal: &[f64]) -> Opti
 /// Eq. (8): one row of the influence term, `min(KL[q_xi(. | a^-i, s) || p(. | s)], kappa act)`, nats, and its
 /// derivative with respect to the divergence (0 at the cap). `dimensions` is `act`. Without the cap the divergence has
 /// no upper bound.
-#[must_use]
-pub fn capped_divergence(divergence: f64, kappa: f64, dimensions: usize) -> (f64, f64) {
+pub(crate) fn capped_divergence(divergence: f64, kappa: f64, dimensions: usize) -> (f64, f64) {
     let cap = kappa * dimensions as f64;
     // This order of comparison keeps a NaN divergence, so that it is reported.
     if divergence >= cap { (cap, 0.0) } else { (divergence, 1.0) }

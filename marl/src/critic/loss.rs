@@ -7,8 +7,7 @@ use crate::rounding::rounded;
 use crate::shape::assert_shape;
 
 /// Huber's loss of an error and its derivative: `e^2 / 2` within `delta`, linear beyond.
-#[must_use]
-pub fn huber(error: f64, delta: f64) -> (f64, f64) {
+pub(crate) fn huber(error: f64, delta: f64) -> (f64, f64) {
     if error.abs() <= delta {
         (0.5 * error * error, error)
     } else {
@@ -38,8 +37,7 @@ pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (
 ///
 /// # Panics
 /// If the shapes differ.
-#[must_use]
-pub fn explained_variance(values: &[f64], returns: &[f64]) -> f64 {
+pub(crate) fn explained_variance(values: &[f64], returns: &[f64]) -> f64 {
     assert_shape("values", values.len(), returns.len());
     let rest = rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
     let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);

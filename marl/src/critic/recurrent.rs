@@ -33,7 +33,7 @@ pub(super) struct Memory {
 
 /// Recurrent states and resets of a rollout, computed with the weights before the update.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Unrolled {
+pub(crate) struct Unrolled {
     /// `H`, recurrent units.
     width: usize,
     /// State before each chunk's first step, after any reset, `[C, H]`.

@@ -5,7 +5,7 @@ use libm::log;
 use super::{Row, RowDistribution, RowGradient};
 
 /// `log 2 pi`.
-pub const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
+pub(crate) const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
 
 /// `H = sum_d (log sigma_d + 1/2 log 2 pi e)`, nats. `sigma` is `[act]`.
 #[must_use]

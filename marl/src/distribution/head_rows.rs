@@ -95,7 +95,7 @@ impl HeadRows {
     }
 
     /// Gradient with respect to the parameters of row `row`.
-    pub fn row_gradient(&mut self, row: usize) -> RowGradient<'_> {
+    pub(crate) fn row_gradient(&mut self, row: usize) -> RowGradient<'_> {
         let width = self.width();
         RowGradient { outputs: &mut self.outputs[row * width..][..width], sigma: &mut self.sigma }
     }
@@ -131,8 +131,7 @@ impl HeadRows {
     ///
     /// # Panics
     /// If the shapes differ.
-    #[must_use]
-    pub fn kl_divergences(&self, p: &Self) -> Vec<f64> {
+    pub(crate) fn kl_divergences(&self, p: &Self) -> Vec<f64> {
         self.assert_same_shape(p);
         let distribution = self.distribution();
         (0..self.count()).map(|row| distribution.kl_divergence(self.row(row), p.row(row))).collect()
@@ -145,8 +144,7 @@ impl HeadRows {
     }
 
     /// A copy of the given rows.
-    #[must_use]
-    pub fn of_rows(&self, rows: &[usize]) -> Self {
+    pub(crate) fn of_rows(&self, rows: &[usize]) -> Self {
         self.with_outputs(rows.iter().flat_map(|&row| self.row(row).outputs).copied().collect())
     }
 
@@ -154,8 +152,7 @@ impl HeadRows {
     ///
     /// # Panics
     /// If the shapes differ.
-    #[must_use]
-    pub fn corrected(&self, shift: &[f64], factor: &[f64]) -> Self {
+    pub(crate) fn corrected(&self, shift: &[f64], factor: &[f64]) -> Self {
         assert_shape("shift", shift.len(), self.outputs.len());
         assert_shape("factor", factor.len(), self.sigma.len());
         Self {
@@ -167,8 +164,7 @@ impl HeadRows {
 
     /// Gradients with respect to the `shift` and the `factor` of [`HeadRows::corrected`], from that with respect to its
     /// result.
-    #[must_use]
-    pub fn correction_gradient(&self, gradient: Self) -> (Vec<f64>, Vec<f64>) {
+    pub(crate) fn correction_gradient(&self, gradient: Self) -> (Vec<f64>, Vec<f64>) {
         let by_factor = gradient.sigma.iter().zip(&self.sigma).map(|(slope, sigma)| slope * sigma);
         (gradient.outputs, by_factor.collect())
     }
@@ -190,8 +186,7 @@ impl HeadRows {
     ///
     /// # Panics
     /// If `parts` is empty.
-    #[must_use]
-    pub fn gathered(parts: &[Self], layout: Layout, chunks: &[Range<usize>]) -> Self {
+    pub(crate) fn gathered(parts: &[Self], layout: Layout, chunks: &[Range<usize>]) -> Self {
         let width = parts[0].width();
         let mut all = vec![0.0; layout.rows() * width];
         for (part, chunks) in parts.iter().zip(chunks) {

@@ -6,7 +6,7 @@ use libm::log;
 
 /// One joint action and its state. The numbers are ids without order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct JointSample {
+pub(crate) struct JointSample {
     /// Id of `s^i`: equal for equal knowledge of the agent.
     pub state: u64,
     /// The agent's action `a^i`.
@@ -19,8 +19,7 @@ pub struct JointSample {
 const LOG_ZERO: f64 = -700.0;
 
 /// Ids of `count` rows of equal length. Equal rows have equal ids; the first row has 0.
-#[must_use]
-pub fn numbered(rows: &[f32], count: usize) -> Vec<u64> {
+pub(crate) fn numbered(rows: &[f32], count: usize) -> Vec<u64> {
     let mut names = BTreeMap::new();
     let width = rows.len() / count;
     let name = |row: usize| {
@@ -35,8 +34,7 @@ pub fn numbered(rows: &[f32], count: usize) -> Vec<u64> {
 
 /// Eq. (7): `q(a | a_n^-i, s) = N1(a, a_n^-i, s) / N2(a_n^-i, s)` of every sample `n`, for all choices `a`, as
 /// log-probabilities `[R, choices]`, nats.
-#[must_use]
-pub fn counted_conditional(samples: &[JointSample], choices: usize) -> Vec<f64> {
+pub(crate) fn counted_conditional(samples: &[JointSample], choices: usize) -> Vec<f64> {
     let joint = counts(samples, |sample| (sample.state, sample.others));
     let row = |sample: &JointSample| {
         let own = &joint[&(sample.state, sample.others)];
@@ -53,8 +51,7 @@ type Counts<Condition> = BTreeMap<Condition, BTreeMap<u32, u64>>;
 /// Eq. (7): `I = 1/R sum_R KL[p(. | a_n^-i, s) || p(. | s)]` over `R` samples. The conditional is
 /// `N1(a^i, a^-i, s) / N2(a^-i, s)`, the marginal `N(a^i, s) / N(s)`. Nats, never negative; `None` without samples. For
 /// independent actions it exceeds 0 by about `(|A^i| - 1)(|A^-i| - 1) / (2 R)` per state.
-#[must_use]
-pub fn counted_information(samples: &[JointSample]) -> Option<f64> {
+pub(crate) fn counted_information(samples: &[JointSample]) -> Option<f64> {
     let joint = counts(samples, |sample| (sample.state, sample.others));
     let marginal = counts(samples, |sample| sample.state);
     // Rows with the same condition have the same divergence, so each condition has the weight `N2`.

@@ -24,7 +24,7 @@ use crate::state::{Visitor, visit_parameters};
 
 /// Sizes of one agent's posterior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PosteriorShape {
+pub(crate) struct PosteriorShape {
     /// Size of the other agents' joint action `a^-i`, choices one-hot.
     pub others: usize,
     /// Number of trunk features.
@@ -39,7 +39,7 @@ pub struct PosteriorShape {
 /// joined with the trunk's features; Linear, tanh and a Linear that starts at 0 give the shift of the logits or the
 /// mean. A Gaussian's sigma is the policy's times `2 sigmoid(c)`, with a parameter `c` that starts at 0. An untrained
 /// posterior is therefore the policy, and every estimate from it is exactly 0.
-pub struct Posterior {
+pub(crate) struct Posterior {
     config: InfluenceConfig,
     shape: PosteriorShape,
     parameters: Parameters,
@@ -53,7 +53,7 @@ pub struct Posterior {
 }
 
 /// Training data and queries of a posterior, rows in any order.
-pub struct Conditions<'a> {
+pub(crate) struct Conditions<'a> {
     /// The trunk's features under the behaviour weights, `[R, F]`; constant.
     pub features: &'a Tensor,
     /// The other agents' actions, choices one-hot, `[R, others]`.
@@ -114,7 +114,7 @@ impl Posterior {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn new(
+    pub(crate) fn new(
         config: &InfluenceConfig,
         adam_config: AdamConfig,
         shape: PosteriorShape,
@@ -176,7 +176,7 @@ impl Posterior {
     ///
     /// # Panics
     /// If an array of `data` has another shape than the posterior's.
-    pub fn fit(
+    pub(crate) fn fit(
         &mut self,
         data: &Conditions<'_>,
         trained: &[usize],
@@ -255,7 +255,11 @@ impl Posterior {
     ///
     /// # Panics
     /// If an array of `data` has another shape than the posterior's.
-    pub fn conditional(&self, data: &Conditions<'_>, of: &[usize]) -> Result<HeadRows, MarlError> {
+    pub(crate) fn conditional(
+        &self,
+        data: &Conditions<'_>,
+        of: &[usize],
+    ) -> Result<HeadRows, MarlError> {
         data.assert_shapes(self.shape);
         let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
         let one = |range: Range<usize>| Ok(self.corrected(&weights, data, &of[range])?.posterior);
@@ -264,8 +268,7 @@ impl Posterior {
     }
 
     /// Number of optimiser steps skipped because their gradient was not finite.
-    #[must_use]
-    pub fn skipped(&self) -> i64 {
+    pub(crate) fn skipped(&self) -> i64 {
         self.adam.skipped()
     }
 

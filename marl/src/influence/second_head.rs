@@ -16,7 +16,7 @@ use crate::optimisation::layers::rows;
 
 /// A Gaussian over the agent's action. `a^-i` is encoded (Linear, tanh) and joined with the trunk's features; Linear,
 /// tanh and Linear give the mean. Sigma is a separate parameter, as in the policy's head.
-pub struct SecondHead {
+pub(crate) struct SecondHead {
     others: usize,
     sigma_scale: f64,
     sigma_floor: f64,
@@ -33,7 +33,7 @@ impl SecondHead {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn new(
+    pub(crate) fn new(
         config: &InfluenceConfig,
         policy: &PolicyConfig,
         shape: PosteriorShape,
@@ -66,8 +66,7 @@ impl SecondHead {
     }
 
     /// All parameters.
-    #[must_use]
-    pub fn parameters(&self) -> &Parameters {
+    pub(crate) fn parameters(&self) -> &Parameters {
         &self.parameters
     }
 
@@ -75,7 +74,7 @@ impl SecondHead {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn weights(&self) -> Result<[Weights; 2], MarlError> {
+    pub(crate) fn weights(&self) -> Result<[Weights; 2], MarlError> {
         Ok([self.encoder.weights()?, self.joined.weights()?])
     }
 
@@ -83,7 +82,7 @@ impl SecondHead {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn distribution(
+    pub(crate) fn distribution(
         &self,
         [encoder, joined]: &[Weights; 2],
         features: &Tensor,
@@ -99,7 +98,7 @@ impl SecondHead {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
+    pub(crate) fn conditional(&self, data: &Conditions<'_>) -> Result<HeadRows, MarlError> {
         let weights = [self.encoder.constant_weights()?, self.joined.constant_weights()?];
         HeadRows::of(&self.distribution(&weights, data.features, data.others.to_vec())?)
     }
@@ -108,7 +107,7 @@ impl SecondHead {
     ///
     /// # Errors
     /// If a tensor operation fails.
-    pub fn project(&self) -> Result<(), MarlError> {
+    pub(crate) fn project(&self) -> Result<(), MarlError> {
         Ok(project_sigma(&self.log_std, self.sigma_floor, self.sigma_scale)?)
     }
 }

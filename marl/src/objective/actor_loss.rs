@@ -62,8 +62,7 @@ pub struct Figures {
 
 impl Figures {
     /// The influence term's share of the gradient with respect to the outputs of `p`, both in magnitude.
-    #[must_use]
-    pub fn influence_share(&self) -> f64 {
+    pub(crate) fn influence_share(&self) -> f64 {
         let all = self.gradient_without_influence + self.gradient_of_influence;
         if all > 0.0 { self.gradient_of_influence / all } else { 0.0 }
     }

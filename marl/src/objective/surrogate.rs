@@ -6,33 +6,29 @@ use crate::shape::assert_shape;
 
 /// Log-ratios are clamped to this many nats, so that no ratio and no product of a dozen of them overflows f32. A ratio
 /// of `e^10` is far outside any clipping interval.
-pub const LOG_RATIO_LIMIT: f64 = 10.0;
+pub(crate) const LOG_RATIO_LIMIT: f64 = 10.0;
 
 /// `pi_new(a|o) / pi_old(a|o)`: the exponential of the log-ratio, which is summed over action dimensions and clamped to
 /// `LOG_RATIO_LIMIT`.
-#[must_use]
-pub fn ratio(log_ratio: f64) -> f64 {
+pub(crate) fn ratio(log_ratio: f64) -> f64 {
     exp(log_ratio.clamp(-LOG_RATIO_LIMIT, LOG_RATIO_LIMIT))
 }
 
 /// Whether [`ratio`] clamps a log-ratio.
-#[must_use]
-pub fn is_clamped(log_ratio: f64) -> bool {
+pub(crate) fn is_clamped(log_ratio: f64) -> bool {
     log_ratio.abs() > LOG_RATIO_LIMIT
 }
 
 /// HAPPO's clipped surrogate of one row, `min(ratio A, clip(ratio, 1 - clip, 1 + clip) A)`, and its derivative with
 /// respect to the ratio. At a tie the derivative is that of the unclipped branch.
-#[must_use]
-pub fn clipped_surrogate(ratio: f64, advantage: f64, clip: f64) -> (f64, f64) {
+pub(crate) fn clipped_surrogate(ratio: f64, advantage: f64, clip: f64) -> (f64, f64) {
     let free = ratio * advantage;
     let clipped = ratio.clamp(1.0 - clip, 1.0 + clip) * advantage;
     if free <= clipped { (free, advantage) } else { (clipped, 0.0) }
 }
 
 /// Lowest and highest sequential factor, `e^-10` and `e^10`.
-#[must_use]
-pub fn factor_limits() -> (f64, f64) {
+pub(crate) fn factor_limits() -> (f64, f64) {
     (exp(-LOG_RATIO_LIMIT), exp(LOG_RATIO_LIMIT))
 }
 
@@ -44,8 +40,11 @@ pub fn factor_limits() -> (f64, f64) {
 ///
 /// # Panics
 /// If the shapes differ.
-#[must_use]
-pub fn sequential_factor(factor: &[f64], log_prob_new: &[f64], log_prob_old: &[f64]) -> Vec<f64> {
+pub(crate) fn sequential_factor(
+    factor: &[f64],
+    log_prob_new: &[f64],
+    log_prob_old: &[f64],
+) -> Vec<f64> {
     assert_shape("log_prob_new", log_prob_new.len(), factor.len());
     assert_shape("log_prob_old", log_prob_old.len(), factor.len());
     let (lowest, highest) = factor_limits();
@@ -70,8 +69,7 @@ pub fn normalized_advantage(advantage: &[f64]) -> Vec<f64> {
 }
 
 /// Mean and population standard deviation of `[R]` numbers, summed in order in f64; both 0 without numbers.
-#[must_use]
-pub fn mean_and_deviation(numbers: &[f64]) -> (f64, f64) {
+pub(crate) fn mean_and_deviation(numbers: &[f64]) -> (f64, f64) {
     let count = numbers.len().max(1) as f64;
     let mean = numbers.iter().sum::<f64>() / count;
     let square = |&x: &f64| (x - mean) * (x - mean);

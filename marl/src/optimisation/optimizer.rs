@@ -15,7 +15,7 @@ const BETA_2: f64 = 0.999;
 
 /// Adam's settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AdamConfig {
+pub(crate) struct AdamConfig {
     /// Learning rate.
     pub learning_rate: f64,
     /// Added to the root of the second moment.
