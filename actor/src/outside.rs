@@ -320,9 +320,10 @@ impl OutsideEnvironments {
             environments.iter().map(|environment| self.episodes[*environment].position.step);
         let (first, last) =
             steps.fold((u32::MAX, 0), |(first, last), step| (first.min(step), last.max(step)));
-        match first == last {
-            true => format!("step {first} of the episode"),
-            false => format!("steps {first} to {last} of {} episodes", environments.len()),
+        if first == last {
+            format!("step {first} of the episode")
+        } else {
+            format!("steps {first} to {last} of {} episodes", environments.len())
         }
     }
 

@@ -20,9 +20,10 @@ impl Source {
     /// Source that `config` selects for `run`.
     pub(crate) async fn of(config: &Config, run: &RunDescription) -> Result<Self, ActorError> {
         if let Some(url) = &config.environment {
-            let norm = match run.environment.feature_z {
-                true => ObservationNorm::FeatureZ,
-                false => ObservationNorm::None,
+            let norm = if run.environment.feature_z {
+                ObservationNorm::FeatureZ
+            } else {
+                ObservationNorm::None
             };
             let service = EnvironmentService::connect(url).await?.scaled(norm);
             return Ok(Self::Service(Box::new(service)));

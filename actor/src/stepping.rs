@@ -208,9 +208,10 @@ impl Worlds {
 /// How the actions of evaluation episode `index` are chosen. Sampled ones are those of `s2mia eval --sampled` with the
 /// run's seed.
 fn choice(run: &RunDescription, index: u32) -> ActionChoice {
-    match run.sampled_evaluations {
-        true => ActionChoice::Sampled { seed: run.seed.wrapping_add(index.into()) },
-        false => ActionChoice::Mean,
+    if run.sampled_evaluations {
+        ActionChoice::Sampled { seed: run.seed.wrapping_add(index.into()) }
+    } else {
+        ActionChoice::Mean
     }
 }
 

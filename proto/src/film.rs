@@ -79,8 +79,9 @@ impl Film {
 
 /// Rejects capsules too far away to be drawn.
 fn within_distance(ends: Vec<f32>) -> Result<Vec<f32>, Refusal> {
-    match ends.iter().all(|metres| metres.abs() <= MAX_DISTANCE) {
-        true => Ok(ends),
-        false => Err(bad_value("film.ends", format!("expected at most {MAX_DISTANCE} m"))),
+    if ends.iter().all(|metres| metres.abs() <= MAX_DISTANCE) {
+        Ok(ends)
+    } else {
+        Err(bad_value("film.ends", format!("expected at most {MAX_DISTANCE} m")))
     }
 }

@@ -66,10 +66,7 @@ pub fn check(name: &str, most: usize) -> Result<(), NameError> {
     if let Some(character) = name.chars().find(|c| is_invisible(*c)) {
         return Err(NameError::Invisible(character));
     }
-    match name.starts_with(' ') || name.ends_with(' ') {
-        true => Err(NameError::Space),
-        false => Ok(()),
-    }
+    if name.starts_with(' ') || name.ends_with(' ') { Err(NameError::Space) } else { Ok(()) }
 }
 
 /// A text as one line that shows all its characters: spaces and line breaks become one space each, and an invisible
@@ -81,9 +78,10 @@ pub fn printable(text: &str) -> String {
         let gap = if line.is_empty() { "" } else { " " };
         line.push_str(gap);
         for character in word.chars() {
-            match is_invisible(character) {
-                true => _ = write!(line, "<U+{:04X}>", u32::from(character)),
-                false => line.push(character),
+            if is_invisible(character) {
+                _ = write!(line, "<U+{:04X}>", u32::from(character))
+            } else {
+                line.push(character)
             }
         }
     }

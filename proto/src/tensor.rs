@@ -118,9 +118,10 @@ fn checked<'a>(
     let bad = |reason, detail| Err(Refusal::new(reason, field, detail));
     let Some(tensor) = tensor else {
         // An empty array may be omitted, for example the state of a policy without recurrence.
-        return match shape.contains(&0) {
-            true => Ok(&[]),
-            false => bad(Reason::MissingField, "must be set".to_owned()),
+        return if shape.contains(&0) {
+            Ok(&[])
+        } else {
+            bad(Reason::MissingField, "must be set".to_owned())
         };
     };
     if tensor.data_type != i32::from(data_type) {

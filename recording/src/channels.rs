@@ -1,19 +1,19 @@
 //! The topics of episodes, the same in trajectory logs and recordings.
 
-mod geometry;
 mod robot;
 mod scene;
 
+use std::collections::BTreeMap;
+
 use prost::Message;
-use proto::trajectory_log::{DESCRIPTORS, Share, ShareEnd};
+use proto::trajectory_log::DESCRIPTORS;
 use proto::{EnvironmentSpec, FeatureSpec};
 use serde_json::json;
-use sim::{LinkShape, Pose};
-use std::collections::BTreeMap;
+use sim::LinkShape;
 
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile, Schema};
-use crate::share::LoggedStep;
+use crate::share::LoggedShare;
 use robot::RobotChannels;
 
 /// The channels `/share`, `/agents/I`, `/step` and `/share_end`, and those of a simulated robot.
@@ -55,37 +55,28 @@ impl ShareChannels {
         })
     }
 
-    /// Writes the start of a share.
-    pub(crate) fn begin(&mut self, file: &mut McapFile, head: &Share) -> Result<(), RecordError> {
-        file.write(&mut self.share, &head.encode_to_vec())?;
-        self.scene(file)
-    }
-
-    /// Writes the shapes of the robot, if there is one.
-    pub(crate) fn scene(&mut self, file: &mut McapFile) -> Result<(), RecordError> {
-        self.robot.as_mut().map_or(Ok(()), |robot| robot.scene(file))
-    }
-
-    /// Writes the pose of the robot, if there is one.
-    pub(crate) fn pose(&mut self, file: &mut McapFile, pose: &Pose) -> Result<(), RecordError> {
-        self.robot.as_mut().map_or(Ok(()), |robot| robot.pose(file, pose))
-    }
-
-    /// Writes a step without its pose.
-    pub(crate) fn step(
+    /// Writes a share, of which each step takes `dt_nanos` of simulated time.
+    pub(crate) fn write(
         &mut self,
         file: &mut McapFile,
-        step: &LoggedStep,
+        share: &LoggedShare,
+        dt_nanos: u64,
     ) -> Result<(), RecordError> {
-        for (channel, agent) in self.agents.iter_mut().zip(&step.agents) {
-            file.write(channel, &agent.encode_to_vec())?;
+        file.write(&mut self.share, &share.head.encode_to_vec())?;
+        if let Some(robot) = &mut self.robot {
+            robot.scene(file)?;
         }
-        file.write(&mut self.step, &step.step.encode_to_vec())
-    }
-
-    /// Writes the end of a share.
-    pub(crate) fn end(&mut self, file: &mut McapFile, end: &ShareEnd) -> Result<(), RecordError> {
-        file.write(&mut self.end, &end.encode_to_vec())
+        for step in &share.steps {
+            if let Some(robot) = &mut self.robot {
+                robot.pose(file, &step.pose)?;
+            }
+            for (channel, agent) in self.agents.iter_mut().zip(&step.agents) {
+                file.write(channel, &agent.encode_to_vec())?;
+            }
+            file.write(&mut self.step, &step.step.encode_to_vec())?;
+            file.advance(dt_nanos);
+        }
+        file.write(&mut self.end, &share.end.encode_to_vec())
     }
 }
 

@@ -15,14 +15,6 @@ pub enum RecordError {
     /// The environment cannot be built or stepped.
     #[error(transparent)]
     Episode(#[from] SimError),
-    /// A message cannot be encoded.
-    #[error("cannot encode a message on {topic}: {why}")]
-    Message {
-        /// Topic of the message.
-        topic: String,
-        /// The reason.
-        why: String,
-    },
     /// The written file contains a different number of messages.
     #[error("the file contains {found} messages, but {written} were written")]
     Verification {

@@ -16,15 +16,14 @@ use crate::error::RecordError;
 /// Size of a chunk before compression, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-const NANOS_PER_SEC: u64 = 1_000_000_000;
+/// Nanoseconds in a second.
+pub(crate) const NANOS_PER_SEC: u64 = 1_000_000_000;
 
 /// A channel of a file.
 #[derive(Clone, Debug)]
 pub(crate) struct Channel {
     id: u16,
-    topic: String,
     sequence: u32,
-    buffer: Vec<u8>,
 }
 
 /// Schema and encoding of a channel's messages.
@@ -93,7 +92,7 @@ impl McapFile {
     ) -> Result<Channel, RecordError> {
         let id = self.writer.add_schema(schema.name, schema.encoding, schema.data)?;
         let id = self.writer.add_channel(id, topic, schema.messages, about)?;
-        Ok(Channel { id, topic: topic.to_owned(), sequence: 0, buffer: Vec::new() })
+        Ok(Channel { id, sequence: 0 })
     }
 
     /// Writes an encoded message with the current time.
@@ -120,41 +119,17 @@ impl McapFile {
         &mut self,
         topic: &str,
     ) -> Result<Channel, RecordError> {
-        let missing =
-            || RecordError::Message { topic: topic.to_owned(), why: "no schema".to_owned() };
-        let schema = M::get_schema().ok_or_else(missing)?;
+        let schema = M::get_schema().expect("every Foxglove message has a schema");
         let messages = M::get_message_encoding();
         let (name, encoding) = (schema.name.as_str(), schema.encoding.as_str());
         let schema = Schema { name, encoding, data: &schema.data, messages: &messages };
         self.channel(topic, &schema, &BTreeMap::new())
     }
 
-    /// Writes a Foxglove message with the current time.
-    pub(crate) fn foxglove<M: Encode>(
-        &mut self,
-        channel: &mut Channel,
-        message: &M,
-    ) -> Result<(), RecordError> {
-        let mut buffer = std::mem::take(&mut channel.buffer);
-        buffer.clear();
-        let encoded = message.encode(&mut buffer).map_err(|error| RecordError::Message {
-            topic: channel.topic.clone(),
-            why: error.to_string(),
-        });
-        let written = encoded.and_then(|()| self.write(channel, &buffer));
-        channel.buffer = buffer;
-        written
-    }
-
     /// Current time of messages as a Foxglove timestamp.
     pub(crate) fn now(&self) -> Timestamp {
         let nanos = self.nanos;
         Timestamp::new((nanos / NANOS_PER_SEC) as u32, (nanos % NANOS_PER_SEC) as u32)
-    }
-
-    /// Advances time by a second before the next episode.
-    pub(crate) fn pause(&mut self) {
-        self.advance(NANOS_PER_SEC);
     }
 
     /// Flushes and closes the file; returns the number of its messages.

@@ -48,10 +48,8 @@ struct Environment {
 
 /// Returns `config`, without contact forces if the task does not support them.
 fn effective(config: &ObservationConfig, rules: &Rules) -> ObservationConfig {
-    let contact_forces = match rules.feels_contacts() {
-        true => config.contact_forces,
-        false => ContactForces::Absent,
-    };
+    let contact_forces =
+        if rules.feels_contacts() { config.contact_forces } else { ContactForces::Absent };
     ObservationConfig { contact_forces, ..config.clone() }
 }
 

@@ -1,10 +1,10 @@
 //! Channels of a robot: frames of its links, joints, and shapes as a scene.
 
 use foxglove::messages::{FrameTransform, FrameTransforms, JointState, JointStates, SceneUpdate};
+use prost::Message as _;
 use sim::{LinkShape, Pose};
 
-use super::geometry::{quaternion, vector};
-use super::scene;
+use super::scene::{self, quaternion, vector};
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile};
 
@@ -30,7 +30,7 @@ impl RobotChannels {
     /// Writes the shapes at the start of a share.
     pub(crate) fn scene(&mut self, file: &mut McapFile) -> Result<(), RecordError> {
         let scene = scene::update(&self.shapes, file.now());
-        file.foxglove(&mut self.scene, &scene)
+        file.write(&mut self.scene, &scene.encode_to_vec())
     }
 
     /// Writes the poses of links and joints.
@@ -50,9 +50,9 @@ impl RobotChannels {
             ..JointState::default()
         };
         let transforms = FrameTransforms { transforms: pose.links.iter().map(transform).collect() };
-        file.foxglove(&mut self.transforms, &transforms)?;
+        file.write(&mut self.transforms, &transforms.encode_to_vec())?;
         let joints =
             JointStates { timestamp: Some(now), joints: pose.joints.iter().map(joint).collect() };
-        file.foxglove(&mut self.joints, &joints)
+        file.write(&mut self.joints, &joints.encode_to_vec())
     }
 }

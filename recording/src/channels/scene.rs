@@ -1,18 +1,26 @@
 //! Shapes of a robot as a Foxglove scene.
 
 use foxglove::messages::{
-    Color, CubePrimitive, CylinderPrimitive, Point3, Pose, SceneEntity, SceneUpdate,
+    Color, CubePrimitive, CylinderPrimitive, Point3, Pose, Quaternion, SceneEntity, SceneUpdate,
     SpherePrimitive, Timestamp, TriangleListPrimitive, Vector3,
 };
 use sim::{Hull, LinkShape, Shape};
-
-use super::geometry::{quaternion, vector};
 
 const LINK: Color = Color { r: 0.90, g: 0.56, b: 0.20, a: 1.0 };
 const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
 /// Length and width of the drawn part of the floor, metres.
 const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
 const FLOOR_THICKNESS: f64 = 0.02;
+
+/// A vector or a position, metres.
+pub(super) fn vector([x, y, z]: [f32; 3]) -> Vector3 {
+    Vector3 { x: x.into(), y: y.into(), z: z.into() }
+}
+
+/// A rotation.
+pub(super) fn quaternion([x, y, z, w]: [f32; 4]) -> Quaternion {
+    Quaternion { x: x.into(), y: y.into(), z: z.into(), w: w.into() }
+}
 
 /// Builds a scene with one entity per shape, locked to its link's frame, and the floor.
 pub(super) fn update(shapes: &[LinkShape], now: Timestamp) -> SceneUpdate {

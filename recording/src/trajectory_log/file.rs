@@ -9,7 +9,7 @@ use sim::{EnvironmentBatch, LinkShape, Robot, TaskConfig};
 
 use crate::channels::ShareChannels;
 use crate::error::RecordError;
-use crate::mcap_file::{McapFile, verify};
+use crate::mcap_file::{McapFile, NANOS_PER_SEC, verify};
 use crate::share::LoggedShare;
 
 /// Name of the metadata record with the run, task and actor of a log.
@@ -130,15 +130,9 @@ impl LogFile {
     pub(crate) fn write(&mut self, share: &LoggedShare) -> Result<(), RecordError> {
         let place = (share.head.episode_id.clone(), share.head.first_step);
         if self.last.as_ref().is_some_and(|last| *last != place) {
-            self.file.pause();
+            self.file.advance(NANOS_PER_SEC);
         }
-        self.channels.begin(&mut self.file, &share.head)?;
-        for step in &share.steps {
-            self.channels.pose(&mut self.file, &step.pose)?;
-            self.channels.step(&mut self.file, step)?;
-            self.file.advance(self.dt_nanos);
-        }
-        self.channels.end(&mut self.file, &share.end)?;
+        self.channels.write(&mut self.file, share, self.dt_nanos)?;
         self.last = Some((place.0, share.next_step()));
         self.written = (self.written.0 + 1, self.written.1 + share.steps.len() as u64);
         Ok(())

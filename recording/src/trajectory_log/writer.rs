@@ -191,19 +191,12 @@ impl LogWriter {
 
     /// Writes a share or counts it as lost.
     fn write(&mut self, origin: &Arc<Origin>, share: &LoggedShare) {
-        let written = match self.broken {
-            true => false,
-            false => {
-                let attempt = self.attempt(origin, share);
-                self.end_on_error(attempt)
-            }
-        };
-        match written {
-            true => {
-                self.written.0 += 1;
-                self.written.1 += share.steps.len() as u64;
-            }
-            false => self.lost.add(1, share.steps.len()),
+        let attempt = if self.broken { None } else { Some(self.attempt(origin, share)) };
+        if attempt.is_some_and(|attempt| self.end_on_error(attempt)) {
+            self.written.0 += 1;
+            self.written.1 += share.steps.len() as u64;
+        } else {
+            self.lost.add(1, share.steps.len());
         }
     }
 

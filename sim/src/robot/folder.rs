@@ -54,9 +54,10 @@ impl<'a> Folder<'a> {
     /// Counts an element of the document or of an included file.
     pub(super) fn count_element(&mut self) -> Result<(), String> {
         self.total.elements += 1;
-        match self.total.elements <= MOST_ELEMENTS {
-            true => Ok(()),
-            false => Err(format!("the model has more than {MOST_ELEMENTS} elements")),
+        if self.total.elements <= MOST_ELEMENTS {
+            Ok(())
+        } else {
+            Err(format!("the model has more than {MOST_ELEMENTS} elements"))
         }
     }
 
@@ -118,9 +119,10 @@ fn text(path: &str, bytes: Vec<u8>) -> Result<String, String> {
 }
 
 fn check_relative(path: &str) -> Result<(), String> {
-    match path.starts_with(['/', '\\']) || path.contains(':') {
-        true => Err(format!("`{path}` is an absolute path; name files by relative paths")),
-        false => Ok(()),
+    if path.starts_with(['/', '\\']) || path.contains(':') {
+        Err(format!("`{path}` is an absolute path; name files by relative paths"))
+    } else {
+        Ok(())
     }
 }
 

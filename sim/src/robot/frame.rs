@@ -74,9 +74,10 @@ impl Angles {
             let mut axis = [0.0; 3];
             axis["xyz".find(letter.to_ascii_lowercase()).unwrap_or(0)] = 1.0;
             let turn = about(axis, self.radians(angle));
-            rotation = match letter.is_ascii_lowercase() {
-                true => product(rotation, turn),
-                false => product(turn, rotation),
+            rotation = if letter.is_ascii_lowercase() {
+                product(rotation, turn)
+            } else {
+                product(turn, rotation)
             };
         }
         Ok(rotation)

@@ -214,16 +214,18 @@ pub(super) fn refused(why: impl Into<String>) -> SimError {
 
 /// Refuses a number outside `low..=high`, and NaN.
 pub(super) fn within(key: &str, value: f32, low: f32, high: f32) -> Result<(), SimError> {
-    match (low..=high).contains(&value) {
-        true => Ok(()),
-        false => Err(refused(format!("{key} must lie in {low}..={high}, is {value}"))),
+    if (low..=high).contains(&value) {
+        Ok(())
+    } else {
+        Err(refused(format!("{key} must lie in {low}..={high}, is {value}")))
     }
 }
 
 fn whole(key: &str, value: u32, most: u32) -> Result<(), SimError> {
-    match (1..=most).contains(&value) {
-        true => Ok(()),
-        false => Err(refused(format!("{key} must lie in 1..={most}, is {value}"))),
+    if (1..=most).contains(&value) {
+        Ok(())
+    } else {
+        Err(refused(format!("{key} must lie in 1..={most}, is {value}")))
     }
 }
 

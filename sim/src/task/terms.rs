@@ -115,9 +115,10 @@ impl WeightedSum {
     pub(super) fn new(key: &str, rows: &[TermRow], robot: &Robot) -> Result<Self, SimError> {
         let resolve = |row: &TermRow| {
             let place = format!("{key}.{}", row.term.word());
-            match row.weight.is_finite() {
-                true => Ok((row.weight, term(&place, row, robot)?)),
-                false => Err(refused(format!("{place}.weight must be finite, is {}", row.weight))),
+            if row.weight.is_finite() {
+                Ok((row.weight, term(&place, row, robot)?))
+            } else {
+                Err(refused(format!("{place}.weight must be finite, is {}", row.weight)))
             }
         };
         rows.iter().map(resolve).collect::<Result<_, _>>().map(Self)
@@ -198,9 +199,12 @@ fn resolved_target(
     if target.is_empty() {
         return Err(refused(format!("{place}.target names no coordinate")));
     }
-    let resolve = |(name, value): (&String, &f32)| match value.is_finite() {
-        true => Ok((names.index(&format!("{place}.target"), name)?, *value)),
-        false => Err(refused(format!("{place}.target.{name} must be finite, is {value}"))),
+    let resolve = |(name, value): (&String, &f32)| {
+        if value.is_finite() {
+            Ok((names.index(&format!("{place}.target"), name)?, *value))
+        } else {
+            Err(refused(format!("{place}.target.{name} must be finite, is {value}")))
+        }
     };
     target.iter().map(resolve).collect()
 }

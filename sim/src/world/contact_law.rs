@@ -129,9 +129,10 @@ struct Held {
 impl PhysicsHooks for ContactLaw {
     fn modify_solver_contacts(&self, context: &mut ContactModificationContext) {
         let robot_first = context.rigid_body1.is_some();
-        let (body, collider) = match robot_first {
-            true => (context.rigid_body1, context.collider1),
-            false => (context.rigid_body2, context.collider2),
+        let (body, collider) = if robot_first {
+            (context.rigid_body1, context.collider1)
+        } else {
+            (context.rigid_body2, context.collider2)
         };
         let collider = &context.colliders[collider];
         let law = self.shapes.get(ShapeTag::of(collider).shape).copied().flatten();

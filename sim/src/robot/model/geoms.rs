@@ -88,9 +88,12 @@ impl Geom {
         }
         let collision = Collision::read(&element)?;
         let ends = element.numbers::<6>("fromto")?.map(|[a, b, c, d, e, f]| {
-            [[a, b, c], [d, e, f]].map(|end| match outer == IDENTITY {
-                true => end,
-                false => outer.then(&Frame { position: end, ..IDENTITY }).position,
+            [[a, b, c], [d, e, f]].map(|end| {
+                if outer == IDENTITY {
+                    end
+                } else {
+                    outer.then(&Frame { position: end, ..IDENTITY }).position
+                }
             })
         });
         Ok(Self {

@@ -80,10 +80,8 @@ impl<'a> Links<'a> {
         context: &Context,
     ) -> Result<(), String> {
         let is_root = parent.is_none_or(|parent| self.plans[parent].is_base());
-        let joints = match is_root {
-            true => joints::read_root(body, context)?,
-            false => joints::read(body, context)?,
-        };
+        let joints =
+            if is_root { joints::read_root(body, context)? } else { joints::read(body, context)? };
         let count = joints.len();
         let (mut parent, mut rest) = (parent, rest);
         for (index, joint) in joints.into_iter().enumerate() {
