@@ -225,9 +225,10 @@ fn checked_healthy(row: &HealthyRow, names: Names<'_>) -> Result<(usize, Healthy
     }
     let low = row.above.into_iter().chain(row.at_least).fold(f32::NEG_INFINITY, f32::max);
     let high = row.below.into_iter().chain(row.at_most).fold(f32::INFINITY, f32::min);
-    match low < high {
-        true => Ok((index, row.clone())),
-        false => Err(refused(format!("{place}: the lower bound {low} is not below {high}"))),
+    if low < high {
+        Ok((index, row.clone()))
+    } else {
+        Err(refused(format!("{place}: the lower bound {low} is not below {high}")))
     }
 }
 
