@@ -57,11 +57,13 @@ mod tests {
     #[test]
     fn a_folder_with_other_settings_than_its_manifest_records_is_refused() {
         let resolved = layers::resolve(&Request::default()).unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join(CONFIG), resolved.to_toml()).unwrap();
         let read = |recorded: &str| {
-            let manifest = serde_json::json!({"config_sha256": recorded}).to_string();
-            std::fs::write(folder.path().join(MANIFEST), manifest).unwrap();
+            let folder = tempfile::tempdir().unwrap();
+            let start = serde_json::json!({"config_sha256": recorded});
+            RunFolder::claim_new(folder.path())
+                .unwrap()
+                .begin(&resolved.to_toml(), &start)
+                .unwrap();
             settings_of_run(folder.path())
         };
         assert!(read(&policy::arrays::hex(&resolved.sha256())).is_ok());

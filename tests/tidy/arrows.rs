@@ -28,7 +28,7 @@ const LEARNER_LAYERS: [&str; 5] = ["serve", "train", "lease", "observe", "store"
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 31] = [
+const HEAVY: [(&str, &[&str]); 32] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -39,6 +39,7 @@ const HEAVY: [(&str, &[&str]); 31] = [
     ("toml", &[ROOT, "sim"]),
     ("tracing-subscriber", &[ROOT]),
     ("candle-core", &["policy", "marl"]),
+    ("candle-nn", &["policy"]),
     ("gemm", &[]),
     ("pulp", &[]),
     ("rand_chacha", &["policy", "sim"]),

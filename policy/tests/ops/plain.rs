@@ -1,6 +1,7 @@
 //! The reference: layers from candle's own operations, differentiated by candle, in any precision.
 
 use candle_core::{Result, Tensor};
+use candle_nn::ops::sigmoid;
 use policy::ops::{Activation, LAYER_NORM_EPSILON, Layer, Network, RecurrentInput};
 
 /// The input `x` `[R, in]` and every layer's result, for a network with the parameters `flat`.
@@ -84,9 +85,4 @@ fn gru_sequence(
         states.push(state.clone());
     }
     Tensor::cat(&states, 0)
-}
-
-/// `1 / (1 + exp(-x))`, elementwise.
-pub(crate) fn sigmoid(x: &Tensor) -> Result<Tensor> {
-    (x.neg()?.exp()? + 1.0)?.recip()
 }
