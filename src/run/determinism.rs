@@ -23,9 +23,8 @@ pub(crate) fn verify(settings: &SettingsArguments, iterations: u64) -> anyhow::R
     let mut states = Vec::new();
     for (index, (name, actors, stop)) in TRIALS.into_iter().enumerate() {
         let folder = place.0.join(index.to_string());
-        begin(settings, &folder, actors, stop.unwrap_or(iterations))
-            .and_then(|()| if stop.is_some() { resume(&folder, iterations) } else { Ok(()) })
-            .with_context(|| format!("trial `{name}` failed"))?;
+        let trial = Trial { settings, folder: &folder, actors };
+        trial.play(stop, iterations).with_context(|| format!("trial `{name}` failed"))?;
         let state = checkpoint::load_newest(&folder)?.saved().state_sha256;
         output::line(format!("{name:<31} {state}"));
         states.push(state);
@@ -46,32 +45,38 @@ fn check_equal(states: &[String]) -> anyhow::Result<()> {
     }
 }
 
-/// Trains a new run in the folder.
-fn begin(
-    settings: &SettingsArguments,
-    folder: &Path,
+struct Trial<'a> {
+    settings: &'a SettingsArguments,
+    folder: &'a Path,
     actors: usize,
-    iterations: u64,
-) -> anyhow::Result<()> {
-    let files = settings.files.iter().flat_map(|file| ["--config".as_ref(), file.as_os_str()]);
-    let dir = format!("run.dir={}", folder.display());
-    train(
-        Command::new(std::env::current_exe().context("cannot find this program")?)
-            .arg("train")
-            .args(settings.written())
-            .args(files)
-            .args([dir, format!("run.iterations={iterations}"), format!("run.actors={actors}")])
-            .arg("evaluation.every_steps=0"),
-    )
 }
 
-fn resume(folder: &Path, iterations: u64) -> anyhow::Result<()> {
-    train(
-        Command::new(std::env::current_exe().context("cannot find this program")?)
-            .args(["train", "--resume"])
-            .arg(folder)
-            .arg(format!("run.iterations={iterations}")),
-    )
+impl Trial<'_> {
+    /// Trains a new run for `iterations`, with a stop and a resume after the iteration `stop` if there is one.
+    fn play(&self, stop: Option<u64>, iterations: u64) -> anyhow::Result<()> {
+        train(&mut self.command(stop.unwrap_or(iterations))?)?;
+        match stop {
+            Some(_) => train(self.command(iterations)?.arg("--resume").arg(self.folder)),
+            None => Ok(()),
+        }
+    }
+
+    /// A training process. A resume has all settings again, which override environment variables as at the start.
+    fn command(&self, iterations: u64) -> anyhow::Result<Command> {
+        let files = &self.settings.files;
+        let files = files.iter().flat_map(|file| ["--config".as_ref(), file.as_os_str()]);
+        let mut command =
+            Command::new(std::env::current_exe().context("cannot find this program")?);
+        command
+            .arg("train")
+            .args(self.settings.written())
+            .args(files)
+            .arg(format!("run.dir={}", self.folder.display()))
+            .arg(format!("run.iterations={iterations}"))
+            .arg(format!("run.actors={}", self.actors))
+            .arg("evaluation.every_steps=0");
+        Ok(command)
+    }
 }
 
 /// Runs a training process to its end; its log is that of this process.

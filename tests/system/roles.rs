@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use serde_json::json;
 
 use crate::commands::{Background, failed};
-use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
+use crate::runs::{Runs, TINY, inspect, succeeded, train};
 use crate::waiting::{eventually, has_begun};
 
 const SIXTY: &str = "run.iterations=60";
@@ -189,8 +189,12 @@ fn status_works_by_address_by_folder_and_for_ended_runs() {
 }
 
 #[test]
-fn verify_determinism_compares_three_runs() {
-    let output = s2mia(&[&["train"], TINY, &["--verify-determinism=3"]].concat());
+fn verify_determinism_compares_three_runs_whose_arguments_override_variables() {
+    let runs = Runs::new();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.arg("train").args(TINY).arg("--verify-determinism=3");
+    command.env("S2MIA__RUN__SEED", "1").env("S2MIA__RUN__DIR", runs.folder("variable"));
+    let output = command.output().unwrap();
     let (told, log) =
         [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).into();
     assert!(output.status.success() && log.is_empty(), "{told}{log}");
