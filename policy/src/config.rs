@@ -70,13 +70,12 @@ impl PolicyConfig {
         }
         between("policy.layers", self.layers, 1, 16)?;
         between("policy.backpropagation_steps", self.backpropagation_steps, 1, 10_000)?;
-        let scale = f64::from(self.sigma_scale);
-        let above = (Bound::Excluded(INITIAL_SIGMA), Bound::Included(10.0));
+        let initial = INITIAL_SIGMA as f32;
+        let above = (Bound::Excluded(initial), Bound::Included(10.0));
         let range = format!("above the initial sigma of {INITIAL_SIGMA}, at most 10");
-        within("policy.sigma_scale", scale, above, &range)?;
-        let floor = f64::from(self.sigma_floor);
+        within("policy.sigma_scale", self.sigma_scale, above, &range)?;
         let range = format!("above 0 and below the initial sigma of {INITIAL_SIGMA}");
-        within("policy.sigma_floor", floor, f64::MIN_POSITIVE..INITIAL_SIGMA, &range)?;
+        within("policy.sigma_floor", self.sigma_floor, f32::MIN_POSITIVE..initial, &range)?;
         let gains = f32::MIN_POSITIVE..=10.0;
         within("policy.head_gain", self.head_gain, gains, "above 0, at most 10")
     }
@@ -126,13 +125,14 @@ mod tests {
     #[test]
     fn the_initial_sigma_is_that_of_harl_and_between_the_bounds() {
         assert_eq!(valid().initial_log_std(), 1.0);
-        for (sigma_floor, sigma_scale, key) in [
-            (0.37, 0.5, "policy.sigma_floor"),
-            (0.0, 0.5, "policy.sigma_floor"),
-            (0.05, 0.36, "policy.sigma_scale"),
+        for (sigma_floor, sigma_scale, refused) in [
+            (0.4, 0.5, "policy.sigma_floor = 0.4 is out of range: "),
+            (0.0, 0.5, "policy.sigma_floor = 0 is out of range: "),
+            (0.05, 0.36, "policy.sigma_scale = 0.36 is out of range: "),
         ] {
             let config = PolicyConfig { sigma_floor, sigma_scale, ..valid() };
-            assert_eq!(config.validate().expect_err("refused").key, key);
+            let message = config.validate().expect_err("refused").to_string();
+            assert!(message.starts_with(refused), "{message}");
         }
         let wide = PolicyConfig { sigma_scale: 1.0, ..valid() };
         let sigma = 1.0 / (1.0 + libm::exp(-f64::from(wide.initial_log_std())));
