@@ -16,14 +16,12 @@ use super::run_config::RunConfig;
 pub(super) enum Condition {
     /// This setting has one of these values.
     Is(&'static str, &'static [&'static str]),
-    /// This setting has another value.
+    /// This text is another one.
     Not(&'static str, &'static str),
     /// This number is above 0.
     Above0(&'static str),
     /// This number is 0.
     Zero(&'static str),
-    /// This text is not empty.
-    Filled(&'static str),
     /// The environment has this property.
     Environment(Property),
 }
@@ -56,11 +54,7 @@ impl Condition {
     /// The setting on whose value it depends; `None` if it depends on the environment.
     pub(super) fn setting(self) -> Option<&'static str> {
         match self {
-            Self::Is(key, _)
-            | Self::Not(key, _)
-            | Self::Above0(key)
-            | Self::Zero(key)
-            | Self::Filled(key) => Some(key),
+            Self::Is(key, _) | Self::Not(key, _) | Self::Above0(key) | Self::Zero(key) => Some(key),
             Self::Environment(_) => None,
         }
     }
@@ -78,7 +72,6 @@ impl Condition {
             Self::Not(key, value) => Some(resolved.text(key) != value),
             Self::Above0(key) => Some(number(key) > 0.0),
             Self::Zero(key) => Some(number(key) == 0.0),
-            Self::Filled(key) => Some(!resolved.text(key).is_empty()),
             Self::Environment(property) => run.has(property),
         }
     }
@@ -89,10 +82,9 @@ impl fmt::Display for Condition {
         match self {
             Self::Is("update.rule", ["maddpg"]) => f.write_str("algorithm = maddpg"),
             Self::Is(key, values) => write!(f, "{key} = {}", values.join(" or ")),
-            Self::Not(key, value) => write!(f, "another {key} than {value}"),
+            Self::Not(key, _) => f.write_str(key),
             Self::Above0(key) => write!(f, "{key} above 0"),
             Self::Zero(key) => write!(f, "{key} = 0"),
-            Self::Filled(key) => write!(f, "{key}"),
             Self::Environment(property) => f.write_str(match property {
                 Property::Robot => "a robot of the simulator",
                 Property::Contacts => "a robot whose task supports contact forces, such as ant-4x2",

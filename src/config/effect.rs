@@ -1,7 +1,7 @@
 //! Which settings have an effect in a run. A setting that the user gives and that has none is refused: a sweep over it would
 //! be flat.
 
-use Condition::{Above0, Environment, Filled, Is, Zero};
+use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
 use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, Run, SURPRISE};
@@ -18,9 +18,9 @@ const MLE: Condition = Is("influence.q_training", &["mle"]);
 /// Every setting that can be without an effect, and the conditions that must all hold for one.
 const TABLE: &[(&[&str], &[Condition])] = &[
     (&["run.env_steps"], &[Zero("run.iterations")]),
-    (&["task_file.text"], &[Filled("task_file.model")]),
-    (&["task_file.model"], &[Filled("task_file.text")]),
-    (&["environment_service.description"], &[Filled("environment_service.url")]),
+    (&["task_file.text"], &[Not("task_file.model", "")]),
+    (&["task_file.model"], &[Not("task_file.text", "")]),
+    (&["environment_service.description"], &[Not("environment_service.url", "")]),
     (&["observation.mode"], &[Environment(Robot)]),
     (
         &["observation.nearest", "observation.globals"],

@@ -1,9 +1,9 @@
 //! Rules between settings of different sections, and between settings and the environment. The range of a single setting is
 //! checked by its section.
 
-use Condition::{Above0, Environment, Filled, Is, Not};
+use Condition::{Above0, Environment, Is, Not};
 use Property::{Continuous, Discrete};
-use marl::config::Sharing;
+use marl::config::{QTraining, Sharing};
 use policy::setting::{SettingError, multiple, within};
 use proto::EnvironmentSpec;
 
@@ -85,7 +85,7 @@ const TABLE: &[Rule] = &[
     ),
     rule(
         Not("log.episodes", "none"),
-        &[Filled("environment_service.url")],
+        &[Not("environment_service.url", "")],
         "none with environment_service.url: only the simulator's episodes are logged",
     ),
 ];
@@ -111,6 +111,7 @@ pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
 pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let (policy, training) = (&config.policy, &config.training);
     let environments = &config.learner.environments;
+    let influence = &training.influence;
     let window = policy.backpropagation_steps;
     multiple(SLOT, environments.steps, WINDOW, window)?;
     multiple(MESSAGE, environments.message_steps, WINDOW, window)?;
@@ -118,6 +119,12 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
         let count = environments.count;
         let range = format!("at least environments.count = {count}, one step of each");
         within("maddpg.replay", training.maddpg.replay, count.., &range)?;
+    }
+    if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
+        let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);
+        let range =
+            format!("below policy.sigma_scale = {scale} with influence.q_training = shared");
+        within("influence.posterior_sigma_floor", floor, ..f64::from(scale), &range)?;
     }
     Ok(())
 }
@@ -132,15 +139,23 @@ pub(super) fn demand_equal_agents(
     }
     let sizes = |index: usize| {
         let agent = &environment.agents[index];
-        (agent.observation.len(), agent.action.size)
+        (agent.observation.len(), agent.action.size, agent.action.choices)
     };
     let Some(other) = (1..environment.agents.len()).find(|&index| sizes(index) != sizes(0)) else {
         return Ok(());
     };
-    let ((observation, action), (others, acted)) = (sizes(0), sizes(other));
+    let has = |index: usize| match sizes(index) {
+        (features, _, Some(choices)) => {
+            format!("{features} observation features and {choices} choices")
+        }
+        (features, size, None) => {
+            format!("{features} observation features and {size} action dimensions")
+        }
+    };
     let detail = format!(
-        "update.parameters = shared needs agents of equal sizes: agent 0 has {observation} observation features and \
-         {action} action dimensions, agent {other} has {others} and {acted}; use separate"
+        "update.parameters = shared needs agents of equal sizes: agent 0 has {}, agent {other} has {}; use separate",
+        has(0),
+        has(other)
     );
     Err(ConfigError::refused(&config.resolved, &["update.parameters"], &detail))
 }

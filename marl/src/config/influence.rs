@@ -62,8 +62,7 @@ impl InfluenceConfig {
         count("influence.epochs", self.epochs)?;
         positive("influence.learning_rate", self.learning_rate)?;
         count("influence.minibatches", self.minibatches)?;
-        let (floor, range) = (self.posterior_sigma_floor, "above 0, at most 0.3");
-        within("influence.posterior_sigma_floor", floor, f64::MIN_POSITIVE..=0.3, range)?;
+        positive("influence.posterior_sigma_floor", self.posterior_sigma_floor)?;
         let some = "at least 2: with 1 no environment would be left to train on";
         within("influence.holdout_every", self.holdout_every, 2.., some)?;
         let lags = "0 (the same step's actions) or 1 (the previous step's)";

@@ -37,6 +37,7 @@ fn a_value_is_taken_where_no_rule_refuses_it() {
     for settings in [
         &["cue-2x1", "influence.estimator=count"][..],
         &["influence.q_training=shared"],
+        &["influence.posterior_sigma_floor=0.5"],
         &["environment_service.url=http://localhost:7", "observation.norm=running"],
     ] {
         assert!(RunConfig::with(settings).is_ok(), "{settings:?}");
@@ -55,6 +56,11 @@ fn numbers_of_several_sections_must_fit() {
             &["algorithm=maddpg", "maddpg.replay=9"],
             "command line: maddpg.replay = 9 is out of range: at least environments.count = 10",
         ),
+        (
+            &["influence.q_training=shared", "influence.posterior_sigma_floor=0.5"],
+            "command line: influence.posterior_sigma_floor = 0.5 is out of range: below policy.sigma_scale = 0.5 with \
+             influence.q_training = shared",
+        ),
     ] {
         let message = RunConfig::with(settings).expect_err("refused").to_string();
         assert!(message.starts_with(expected), "{message}");
@@ -67,13 +73,23 @@ fn agents_with_shared_parameters_must_have_equal_sizes() {
     let world = sim::environments(&config.task, 1).unwrap();
     let mut spec = world.description().clone();
     assert_eq!(config.demand_suitable(Some(&spec)), Ok(()));
+    let features = format!("{} observation features", spec.agents[0].observation.len());
+    let refused =
+        |spec: &EnvironmentSpec| demand_equal_agents(&config, spec).unwrap_err().to_string();
     spec.agents[1].action.size = 1;
-    let features = spec.agents[0].observation.len();
     assert_eq!(
-        config.demand_suitable(Some(&spec)).unwrap_err().to_string(),
+        refused(&spec),
         format!(
-            "command line: update.parameters = shared needs agents of equal sizes: agent 0 has {features} observation \
-             features and 3 action dimensions, agent 1 has {features} and 1; use separate"
+            "command line: update.parameters = shared needs agents of equal sizes: agent 0 has {features} and 3 action \
+             dimensions, agent 1 has {features} and 1 action dimensions; use separate"
         )
+    );
+    for (agent, choices) in spec.agents.iter_mut().zip([3, 5]) {
+        (agent.action.size, agent.action.choices) = (1, Some(choices));
+    }
+    let message = refused(&spec);
+    assert!(
+        message.contains("and 3 choices, agent 1 ") && message.contains("and 5 choices;"),
+        "{message}"
     );
 }
