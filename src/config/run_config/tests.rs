@@ -3,6 +3,25 @@
 use super::*;
 use crate::config::presets;
 
+#[test]
+fn every_section_of_the_defaults_is_read() {
+    let resolved = RunConfig::with(&[]).unwrap().resolved;
+    let section = |key: &str| key.split_once('.').map(|(section, _)| section.to_owned());
+    let mut sections: Vec<String> =
+        resolved.entries.keys().filter_map(|key| section(key)).collect();
+    sections.dedup();
+    // The texts of a task file are read by their keys.
+    for unread in sections.iter().filter(|name| *name != "task_file") {
+        let mut without = resolved.clone();
+        without.entries.retain(|key, _| section(key).as_ref() != Some(unread));
+        let text = without.to_toml();
+        let is_whole = toml::from_str::<Sections>(&text).is_ok()
+            && toml::from_str::<marl::Config>(&text).is_ok()
+            && toml::from_str::<learner::config::Config>(&text).is_ok();
+        assert!(!is_whole, "no part of the program reads [{unread}]");
+    }
+}
+
 fn tasks_and_presets() -> Vec<(&'static str, &'static str)> {
     let presets = || presets::PRESETS.iter().map(|preset| preset.name);
     presets::TASKS.iter().flat_map(|task| presets().map(|preset| (task.name, preset))).collect()
