@@ -13,7 +13,7 @@ use crate::config::run_config::RunConfig;
 pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
     let file = folder.join(CONFIG);
     let read = match plain_file::refusal(&file) {
-        None => RunConfig::of_file(&file),
+        None => RunConfig::of_file(&file).map_err(|error| of_another_version(folder, error)),
         Some(why) => Err(unreadable(&file, why.to_string())),
     };
     let own = read.and_then(|config| unchanged(&file, folder, config));
@@ -45,6 +45,25 @@ fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig,
     }
 }
 
+/// Explains a key in a run's own settings that this program does not know, if another version or commit made the run.
+fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
+    let (ConfigError::UnknownKey { place, key, .. }, Some(manifest)) =
+        (&error, RunFolder::recorded(folder))
+    else {
+        return error;
+    };
+    let recorded = |field: &str| manifest[field].as_str().unwrap_or("unknown").to_owned();
+    let (version, commit) = (recorded("version"), recorded("git_commit"));
+    if (version.as_str(), commit.as_str()) == (env!("CARGO_PKG_VERSION"), env!("S2MIA_GIT_COMMIT"))
+    {
+        return error;
+    }
+    let detail = format!(
+        "unknown key `{key}`: another version made the run, {version}, commit {commit}; train again"
+    );
+    ConfigError::Unreadable { place: place.clone(), detail }
+}
+
 fn unreadable(file: &Path, detail: String) -> ConfigError {
     ConfigError::Unreadable { place: file.display().to_string(), detail }
 }
@@ -53,6 +72,18 @@ fn unreadable(file: &Path, detail: String) -> ConfigError {
 mod tests {
     use super::*;
     use crate::config::{Request, layers};
+
+    #[test]
+    fn an_unknown_key_in_the_settings_of_a_run_names_the_version_that_made_it() {
+        let resolved = layers::resolve(&Request::default()).unwrap();
+        let text = resolved.to_toml().replace("[critic]\n", "[critic]\ninput = \"state\"\n");
+        let folder = tempfile::tempdir().unwrap();
+        let start = serde_json::json!({"version": "0.0.1", "git_commit": "abc"});
+        RunFolder::claim_new(folder.path()).unwrap().begin(&text, &start).unwrap();
+        let refusal = settings_of_run(folder.path()).unwrap_err().to_string();
+        let expected = "config.toml: unknown key `critic.input`: another version made the run, 0.0.1, commit abc; train again";
+        assert!(refusal.ends_with(expected), "{refusal}");
+    }
 
     #[test]
     fn a_folder_with_other_settings_than_its_manifest_records_is_refused() {
