@@ -225,7 +225,7 @@ fn every_pair_of_values_is_in_some_cell() {
 
 /// Settings that the cells do not cover: other rules, networks and statistics, robots that fall, and a game.
 const VARIANTS: [&[&str]; 7] = [
-    &["algorithm=mappo"],
+    &["algorithm=mappo", "policy.core=mlp", "policy.width=8", "policy.layers=1"],
     &["algorithm=mappo", "update.parameters=separate", "surprise.alpha=0.01"],
     &["algorithm=happo-s2mia", "policy.core=mlp", "policy.width=8", "policy.layers=1"],
     &["algorithm=happo-s2mia", "observation.norm=none"],
