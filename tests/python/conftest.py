@@ -33,7 +33,7 @@ TINY = [
 def program():
     """The binary under test."""
     binary = Path(os.environ.get("S2MIA", ROOT / "target" / "debug" / "s2mia"))
-    assert binary.is_file(), f"{binary} is not built; `cargo test` or `cargo build` makes it"
+    assert binary.is_file(), f"{binary} is not built; `cargo test`, or `cargo build --features fail_points`, makes it"
     return binary
 
 

@@ -25,7 +25,7 @@ MANY = [*SMALL, "run.env_steps=30000", "evaluation.every_steps=10000"]
 
 def command(*arguments) -> list[str]:
     binary = pathlib.Path(os.environ.get("S2MIA", ROOT / "target" / "debug" / "s2mia"))
-    assert binary.is_file(), f"{binary} is not built; `cargo test` or `cargo build` makes it"
+    assert binary.is_file(), f"{binary} is not built; `cargo test`, or `cargo build --features fail_points`, makes it"
     return [str(binary), *map(str, arguments)]
 
 
