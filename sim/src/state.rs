@@ -1,8 +1,7 @@
 //! A complete environment state and its encoding, which actors exchange and checkpoints store.
 //!
 //! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
-//! coordinates f32 `[nq]`, velocities f32 `[nv]`, contact forces f32 `[nc]`,
-//! last actions f32 `[na]`.
+//! coordinates f32 `[nq]`, velocities f32 `[nv]`, last actions f32 `[na]`.
 
 use proto::EpisodePosition;
 

@@ -31,7 +31,7 @@ pub(crate) struct Task {
     pub(crate) rules: Rules,
 }
 
-/// Coordinates, velocities and contact forces of a robot at one time.
+/// Coordinates and velocities of a robot at one time.
 #[derive(Clone, Copy)]
 pub(crate) struct Motion<'a> {
     /// Relative to the rest pose `[nq]`.

@@ -20,7 +20,7 @@ from debian import ROOT, program
 from runs import eventually, free_port, training
 
 DEPLOY = ROOT / "deploy" / "prometheus"
-# The first is not shown before there is a refusal, the second not without certificates.
+# It is not shown before there is a refusal.
 NOT_BEFORE_THE_FIRST = {"s2mia_messages_refused_total"}
 
 

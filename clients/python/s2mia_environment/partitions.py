@@ -19,8 +19,9 @@ def factorization(scenario: str, agent_conf: str) -> dict | None:
 
     In `AxJ` with all joints of the robot, each of A agents controls the next J joints in the order of the model's
     actuators: thigh, leg, foot. The published results have these partitions, because their code concatenates the
-    agents' actions, whatever the names of the joints. gymnasium-robotics has no HalfCheetah 3x2, Walker2d 3x2 and 6x1 and Ant 8x1, and in its
-    Walker2d 2x3 an agent's action begins with the foot. In Ant 2x4d, an agent controls opposite legs.
+    agents' actions, whatever the names of the joints. gymnasium-robotics has no HalfCheetah 3x2, Walker2d 3x2 and 6x1
+    and Ant 8x1, and in its Walker2d 2x3 an agent's action begins with the foot. In Ant 2x4d, an agent controls opposite
+    legs.
     """
     if named := OPPOSITE.get((scenario, agent_conf)):
         (joints,), edges, of_root = mamujoco_v1.get_parts_and_edges(scenario, None)

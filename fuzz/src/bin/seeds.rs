@@ -17,7 +17,6 @@ use proto::{
     PROTOCOL_VERSION, PolicyVersion, ProcessId, PushHeader, Registration, RolloutWork, Start,
     Steps, View, WeightsName, Work, wire,
 };
-use sim::ContactForces;
 
 /// An input, with the byte before it by which its target chooses how to read it, if it does.
 type Seed = (Option<u8>, Vec<u8>);
@@ -121,7 +120,7 @@ fn policies() -> Vec<Seed> {
 
 /// Robots at rest and at the start of an episode.
 fn states() -> Vec<Seed> {
-    let both = |(index, task): (u8, (&str, ContactForces))| {
+    let both = |(index, task): (u8, &str)| {
         let mut world = world(task);
         let mut states = vec![(Some(index), world.encode(0).expect("a robot at rest"))];
         let key = Key::of(RunSeed(1), Draw::of(Purpose::Reset));

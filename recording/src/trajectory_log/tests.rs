@@ -30,10 +30,9 @@ pub(super) fn start(
     folder: &Path,
     actor: &str,
     episodes: Episodes,
-    max_file_mib: u64,
+    file_mib: u64,
 ) -> (Log, LogHandle) {
-    let config =
-        LogConfig { folder: folder.to_path_buf(), episodes, file_bytes: max_file_mib << 20 };
+    let config = LogConfig { folder: folder.to_path_buf(), episodes, file_bytes: file_mib << 20 };
     let log = Log::start(&config, actor, 1).unwrap();
     let handle = log.handle(&Arc::new(run()), &task());
     (log, handle)
