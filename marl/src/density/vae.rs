@@ -348,7 +348,9 @@ mod tests {
         };
         let found = vae.gradients(&inputs, &noise).unwrap();
         for (var, gradient) in vae.parameters.vars().iter().zip(&found.0) {
-            meets_finite_differences(&loss, (var, gradient), 1, (1e-2, 1e-4));
+            let all = gradient.len();
+            let used = meets_finite_differences(&loss, (var, gradient), 0..all, (1e-2, 1e-4));
+            assert!(2 * used > all, "{used} of {all} have a slope");
         }
     }
 }
