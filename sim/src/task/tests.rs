@@ -158,6 +158,8 @@ fn an_action_of_minus_one_or_one_is_an_end_of_the_control_range_of_its_motor() {
         (["0 10", "0 10"], several, [0.0, -1.0], [5.0, 0.0]),
         (["-80 80", "-80 80"], several, [0.25, 1.0], [20.0, 80.0]),
         (["-4 12", "0 10"], "[[\"hip\"], [\"knee\"]]", [0.5, 0.5], [8.0, 7.5]),
+        // Agents act in the order of their lists, not of the motors.
+        (["-4 12", "0 10"], "[[\"knee\"], [\"hip\"]]", [0.5, -0.5], [0.0, 7.5]),
     ] {
         let mut world = ranged(ranges, agents);
         for agent in &world.description().agents {
