@@ -93,7 +93,8 @@ pub(crate) trait Density: Send + Sync {
     fn omitted_constant(&self) -> f64 {
         0.5 * LOG_TWO_PI * self.features().0 as f64
     }
-    /// Visits `theta` and the other state of the next fit, as arrays under `prefix`.
+    /// Visits `theta`, the state from which the next fit continues, and figures of the last fit that the hash of the
+    /// state covers, as arrays under `prefix`.
     ///
     /// # Errors
     /// Passes on the visitor's; if a tensor operation fails.

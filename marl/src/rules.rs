@@ -17,7 +17,9 @@ use maddpg::Maddpg;
 use mappo::Mappo;
 use on_policy::OnPolicy;
 
-/// The configured learning rule, with weights initialised by `seed`.
+/// The configured learning rule, with weights initialised by `seed`. The caller has checked that agents with shared
+/// parameters have equal shapes, that with MADDPG no action is a choice, that with the estimator `count` all are, and
+/// that the replay holds at least one step of all environments.
 ///
 /// # Errors
 /// If a tensor operation fails.

@@ -229,6 +229,19 @@ fn recurrent_critics_give_the_same_bits_on_one_two_and_three_threads_with_any_ru
 }
 
 #[test]
+fn weights_are_the_arrays_under_their_prefix() {
+    for rule in RULES {
+        let mut algorithm = algorithm(rule);
+        let mut arrays = algorithm.arrays().unwrap();
+        arrays.retain(|name, _| name.starts_with("weights/"));
+        assert_eq!(algorithm.weights().unwrap(), arrays);
+        let shared = arrays.keys().any(|name| name.starts_with("weights/shared."));
+        let own = arrays.keys().any(|name| name.starts_with("weights/agent_1."));
+        assert_eq!((shared, own), (rule.1 == Sharing::Shared, rule.1 == Sharing::Separate));
+    }
+}
+
+#[test]
 fn agents_with_shared_parameters_act_equally() {
     let mut algorithm = algorithm((Rule::Mappo, Sharing::Shared));
     update(algorithm.as_mut(), 0);

@@ -7,7 +7,7 @@ mod settings;
 use marl::config::{CriticCore, Rule, Sharing};
 use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
 use policy::{
-    CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
+    Array, CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
     generator, standard_normal,
 };
 
@@ -47,6 +47,15 @@ fn observe(state: &[f32], agent: usize) -> Vec<f32> {
 /// The reward of a step is `1 - (a_0 + a_1 - x)^2`, a sum that no agent controls alone. The next state does not depend
 /// on the actions. Every second step ends an episode.
 fn play(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
+    play_with_ends(snapshot, iteration, [false, true, false, true])
+}
+
+/// As [`play`], but the second episode of the batch continues in the next one.
+fn play_on(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
+    play_with_ends(snapshot, iteration, [false, true, false, false])
+}
+
+fn play_with_ends(snapshot: &PolicySnapshot, iteration: u64, ends: [bool; STEPS]) -> Batch {
     let draw = Draw::of(Purpose::Action).iteration(iteration);
     let mut rng = generator(RunSeed(9), draw);
     let mut batch = Batch {
@@ -83,11 +92,11 @@ fn play(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
         }
         let error = |(sum, state): (&f32, &[f32])| (sum - state[0]) * (sum - state[0]);
         batch.reward.extend(sums.iter().zip(states.chunks_exact(2)).map(|pair| 1.0 - error(pair)));
-        let done = step % 2 == 1;
+        let done = ends[step];
         batch.terminated.extend(std::iter::repeat_n(done, ENVIRONMENTS));
         batch.truncated.extend(std::iter::repeat_n(false, ENVIRONMENTS));
         batch.state.extend(states);
-        if done {
+        if done || step == STEPS - 1 {
             batch.finals.extend((0..ENVIRONMENTS).map(|environment| Final {
                 step,
                 environment,
@@ -101,8 +110,12 @@ fn play(snapshot: &PolicySnapshot, iteration: u64) -> Batch {
 
 fn update(algorithm: &mut dyn Algorithm, iteration: u64) -> f32 {
     let batch = play(&algorithm.snapshot().unwrap(), iteration);
+    update_on(algorithm, &batch, iteration)
+}
+
+fn update_on(algorithm: &mut dyn Algorithm, batch: &Batch, iteration: u64) -> f32 {
     let rewards = vec![batch.reward.clone(); 2];
-    algorithm.update(&batch, &rewards, iteration).unwrap();
+    algorithm.update(batch, &rewards, iteration).unwrap();
     batch.reward.iter().sum::<f32>() / batch.reward.len() as f32
 }
 
@@ -122,13 +135,23 @@ fn with_every_critic_agents_learn_and_continue_bit_for_bit_from_stored_state() {
         let mut kept = build();
         let rewards: Vec<f32> = (0..60).map(|k| update(kept.as_mut(), k)).collect();
         assert!(rewards[55..].iter().sum::<f32>() / 5.0 > 0.74, "{core:?} {alpha}: {rewards:?}");
+        let continued = |algorithm: &mut dyn Algorithm, iteration| {
+            let batch = play_on(&algorithm.snapshot().unwrap(), iteration);
+            update_on(algorithm, &batch, iteration);
+        };
+        continued(kept.as_mut(), 60);
         let stored = kept.arrays().unwrap();
+        let carries = |(name, array): (&String, &Array)| {
+            let Array::F32 { data, .. } = array else { return false };
+            name.starts_with("memory/critic") && data.iter().any(|&value| value != 0.0)
+        };
+        assert_eq!(stored.iter().any(carries), core == gru, "{core:?} {alpha}");
         let of_values = stored.keys().filter(|name| name.starts_with("normalizer/value_"));
         assert_eq!(of_values.count(), values, "{core:?} {alpha}");
         let mut other = build();
         other.restore(&stored).unwrap();
-        update(kept.as_mut(), 60);
-        update(other.as_mut(), 60);
+        continued(kept.as_mut(), 61);
+        continued(other.as_mut(), 61);
         assert_eq!(kept.arrays().unwrap(), other.arrays().unwrap(), "{core:?} {alpha}");
     }
 }
@@ -202,6 +225,17 @@ fn the_influence_term_increases_the_divergence_from_the_posteriors() {
     };
     let (pushed, left_alone) = (divergence(1.0), divergence(1e-9));
     assert!(pushed > 1.3 * left_alone, "{pushed} {left_alone}");
+}
+
+#[test]
+fn equal_seeds_give_equal_weights_and_other_seeds_others() {
+    let weights = |seed| {
+        let mut algorithm = algorithm(0.01, seed);
+        update(algorithm.as_mut(), 0);
+        algorithm.weights().unwrap()
+    };
+    assert_eq!(weights(1), weights(1));
+    assert_ne!(weights(1), weights(2));
 }
 
 #[test]

@@ -19,7 +19,8 @@ const MASK_BELOW: f64 = 1e-4;
 pub(super) struct Moments {
     signal: Vec<usize>,
     pub(super) mean: Vec<f64>,
-    /// Without the floor that `sigma` has.
+    /// Without the floor that `sigma` has. Only `sigma` is read after a fit; this is stored because the hash of the state
+    /// covers it.
     variance: Vec<f64>,
     pub(super) sigma: Vec<f64>,
     pub(super) active: Vec<bool>,

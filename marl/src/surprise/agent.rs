@@ -10,7 +10,8 @@ use crate::surprise::entropy_bound;
 /// A density and the results of its last fit.
 pub(super) struct AgentSurprise {
     density: Box<dyn Density>,
-    /// Number of fits.
+    /// Number of fits. No computation reads it or `centre` again; both are stored because the hash of the state covers
+    /// them.
     fits: i64,
     /// Mean log-density of the rows of the last fit, nats.
     centre: f64,
