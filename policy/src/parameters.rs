@@ -116,8 +116,12 @@ impl Parameters {
     /// Sets the elements of every variable.
     ///
     /// # Errors
-    /// If a number of elements is wrong.
+    /// If the number of variables or of elements is wrong.
     pub fn set(&self, values: Vec<Vec<f32>>) -> Result<(), PolicyError> {
+        let (given, wanted) = (values.len(), self.vars.len());
+        if given != wanted {
+            return Err(PolicyError::Restore(format!("{given} variables, expected {wanted}")));
+        }
         for (var, values) in self.vars.iter().zip(values) {
             var.set(&Tensor::from_vec(values, var.shape(), &Device::Cpu)?)?;
         }
@@ -168,5 +172,7 @@ mod tests {
             [("z".to_owned(), one(vec![5.0, 6.0])), ("a".to_owned(), one(vec![7.0, 8.0]))];
         assert_eq!(target.to_arrays().expect("f32"), NamedArrays::from(expected));
         assert!(target.set(vec![vec![5.0], vec![7.0, 8.0]]).is_err());
+        assert!(target.set(vec![vec![5.0, 6.0]]).is_err());
+        assert!(target.set(vec![vec![5.0, 6.0]; 3]).is_err());
     }
 }
