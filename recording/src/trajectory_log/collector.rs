@@ -95,7 +95,7 @@ impl<'a> ShareCollector<'a> {
         }
     }
 
-    /// Starts a share; `None` if it is not logged or its state cannot be encoded.
+    /// Starts a share; `None` if it is not logged.
     fn begin(&mut self, environment: usize, world: &dyn EnvironmentBatch) -> Option<OpenShare> {
         let mut head = self.common.clone();
         if let Collected::Slot { work, episodes, .. } = &self.kind {
@@ -109,10 +109,7 @@ impl<'a> ShareCollector<'a> {
         }
         match world.encode(environment) {
             Ok(state) => head.environment_state = state,
-            Err(error) => {
-                self.failure = Some(error);
-                return None;
-            }
+            Err(error) => self.failure = Some(error),
         }
         self.shares.push(LoggedShare { head, steps: Vec::new(), end: ShareEnd::default() });
         Some(OpenShare { index: self.shares.len() - 1, pose: Pose::default(), state: Vec::new() })
@@ -146,15 +143,20 @@ impl<'a> ShareCollector<'a> {
         }
     }
 
+    /// Number of shares and of their steps.
+    pub(crate) fn count(&self) -> (usize, usize) {
+        (self.shares.len(), self.shares.iter().map(|share| share.steps.len()).sum())
+    }
+
     /// The shares; none if the slot or the episode is not finished.
     ///
     /// # Errors
     /// If the state of an environment could not be encoded.
     pub(crate) fn finish(self) -> Result<Vec<LoggedShare>, SimError> {
         match self.failure {
+            _ if !self.is_whole => Ok(Vec::new()),
             Some(error) => Err(error),
-            None if self.is_whole => Ok(self.shares),
-            None => Ok(Vec::new()),
+            None => Ok(self.shares),
         }
     }
 }

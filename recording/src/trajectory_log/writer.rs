@@ -144,16 +144,17 @@ impl LogHandle {
         self.episodes.include_evaluation(index).then(collector)
     }
 
-    /// Sends the shares of a lease, if it is finished.
+    /// Sends the shares of a lease, if it is finished. If one of its states cannot be encoded, they are lost.
     pub fn send(&self, collector: ShareCollector<'_>) {
-        // The simulator encodes every state that it reaches.
-        let shares = collector.finish().unwrap_or_default();
-        if shares.is_empty() {
-            return;
-        }
-        let steps = shares.iter().map(|share| share.steps.len()).sum();
-        let count = shares.len();
-        if self.commands.try_send(Command::Write(Arc::clone(&self.origin), shares)).is_err() {
+        let (count, steps) = collector.count();
+        let is_sent = match collector.finish() {
+            Ok(shares) if shares.is_empty() => return,
+            Ok(shares) => {
+                self.commands.try_send(Command::Write(Arc::clone(&self.origin), shares)).is_ok()
+            }
+            Err(_) => false,
+        };
+        if !is_sent {
             self.lost.add(count, steps);
         }
     }

@@ -1,5 +1,7 @@
 //! Tests of a single complete log.
 
+use foxglove::messages::{FrameTransforms, JointStates};
+use prost::Message as _;
 use proto::trajectory_log::Kind;
 use proto::{Episodes, EvaluationWork};
 
@@ -84,6 +86,39 @@ fn a_log_has_a_schema_for_every_topic_and_totals() {
     assert_eq!(statistics.message_end_time - statistics.message_start_time, 6_000_000_000);
     let totals = totals(&path).unwrap();
     assert_eq!((totals["steps"].as_str(), totals["lost_steps"].as_str()), ("80", "0"));
+}
+
+#[test]
+fn a_log_shows_the_links_and_joints_before_a_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = slot_log(folder.path()).0;
+    let bytes = read_bytes(&path).unwrap();
+    let first = |topic: &str| {
+        let mut messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        messages.find(|message| message.channel.topic == topic).unwrap().data
+    };
+    let transforms = FrameTransforms::decode(first("/tf").as_ref()).unwrap().transforms;
+    let joints = JointStates::decode(first("/joint_states").as_ref()).unwrap().joints;
+    let mut world = sim::environments(&task(), 1).unwrap();
+    world.restore(0, &read(&path).1[0].head.environment_state).unwrap();
+    let pose = world.pose(0);
+    assert_eq!((transforms.len(), joints.len()), (pose.links.len(), pose.joints.len()));
+    assert!(transforms.len() >= 7 && joints.len() >= 6, "seven links, six of them with motors");
+    let close = |found: &[f64], expected: &[f32]| {
+        found.iter().zip(expected).all(|(a, b)| (a - f64::from(*b)).abs() < 1e-4)
+    };
+    for (found, link) in transforms.iter().zip(&pose.links) {
+        assert_eq!(found.child_frame_id, link.name);
+        let (at, turned) = (found.translation.unwrap(), found.rotation.unwrap());
+        assert!(close(&[at.x, at.y, at.z], &link.position), "{found:?} {link:?}");
+        let quaternion = [turned.x, turned.y, turned.z, turned.w];
+        assert!(close(&quaternion, &link.quaternion), "{found:?} {link:?}");
+    }
+    for (found, joint) in joints.iter().zip(&pose.joints) {
+        assert_eq!(found.name, joint.name);
+        let numbers = [found.position.unwrap(), found.velocity.unwrap()];
+        assert!(close(&numbers, &[joint.position, joint.velocity]), "{found:?} {joint:?}");
+    }
 }
 
 #[test]
