@@ -252,7 +252,8 @@ impl Siege {
             let lease = table::lease(&mut self.table, actor);
             for sequence in 0..CHUNKS {
                 let header = PushHeader::of(&lease, honest(&lease, sequence));
-                self.table.chunk(lease.connection, &header, chunk(&lease, sequence)).unwrap();
+                let part = ResultPart::Chunk(chunk(&lease, sequence));
+                self.table.take(lease.connection, &header, part).unwrap();
             }
             self.take_effects();
         }
