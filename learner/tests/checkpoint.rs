@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use learner::config::CheckpointConfig;
 use learner::store::checkpoint::{
-    self, Before, Checkpoint, CheckpointError, Loaded, RunSettings, Saved, Step,
+    self, Before, Checkpoint, CheckpointError, Loaded, Manifest, RunSettings, Saved, Step,
 };
-use policy::arrays::{Array, NamedArrays};
+use policy::arrays::{Array, NamedArrays, hex};
+use sha2::{Digest as _, Sha256};
 
 fn checkpoint(iteration: u64) -> Checkpoint {
     let floats = |value: f32| Array::F32 { shape: vec![2, 2], data: vec![value, 0.5, -0.0, 1e-9] };
@@ -247,6 +248,21 @@ fn a_checkpoint_in_the_wrong_folder_or_with_another_schema_is_rejected() {
         "{text}"
     );
     assert!(matches!(error, CheckpointError::NoneUsable { skipped, .. } if skipped.len() == 2));
+}
+
+#[test]
+fn a_checkpoint_with_another_state_than_its_manifest_records_is_rejected() {
+    let run = Run::with(&[1, 2]);
+    let mut manifest = run.load().manifest;
+    manifest.state_sha256 = checkpoint(1).state_sha256();
+    manifest.manifest_sha256 = String::new();
+    let text =
+        |manifest: &Manifest| format!("{}\n", serde_json::to_string_pretty(manifest).unwrap());
+    manifest.manifest_sha256 = hex(&Sha256::digest(text(&manifest)));
+    let file = run.path(2).join("manifest.json");
+    fs::write(&file, text(&manifest)).unwrap();
+    falls_back(&run, &file);
+    assert!(run.load().skipped[0].1.starts_with("the SHA-256 of the state is "));
 }
 
 #[test]

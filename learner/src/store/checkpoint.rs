@@ -366,7 +366,9 @@ fn read(path: &Path) -> Result<(Checkpoint, Manifest), String> {
     }
     let policy = policy.ok_or_else(|| format!("{MANIFEST} names no {POLICY}"))?;
     let (iteration, env_steps) = (manifest.iteration, manifest.env_steps);
-    Ok((Checkpoint { iteration, env_steps, arrays, policy }, manifest))
+    let checkpoint = Checkpoint { iteration, env_steps, arrays, policy };
+    manifest.verify(&checkpoint)?;
+    Ok((checkpoint, manifest))
 }
 
 /// A plain file of the expected size; nothing bigger is ever read.

@@ -97,6 +97,21 @@ impl Manifest {
         }
     }
 
+    /// Compares the hashes of the content with the recorded ones.
+    pub(super) fn verify(&self, checkpoint: &Checkpoint) -> Result<(), String> {
+        for (what, recorded, found) in [
+            ("weights", &self.weights_sha256, checkpoint.weights_sha256()),
+            ("state", &self.state_sha256, checkpoint.state_sha256()),
+        ] {
+            if *recorded != found {
+                return Err(format!(
+                    "the SHA-256 of the {what} is {found}, manifest.json says {recorded}"
+                ));
+            }
+        }
+        Ok(())
+    }
+
     fn own_sha256(&self) -> String {
         let bare = Self { manifest_sha256: String::new(), ..self.clone() };
         hex(&Sha256::digest(bare.to_bytes()))
