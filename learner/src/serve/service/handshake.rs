@@ -1,17 +1,19 @@
 //! Handshake of a new connection: TLS with a client certificate, if the learner requires it, then the HTTP/2 preface. A
 //! peer that stalls or is rejected does not affect the run.
 
-use std::io::Cursor;
+use std::io::{self, Cursor};
 use std::net::SocketAddr;
 use std::time::Duration;
 
 use security::{ServerTls, Standing, explain_rejection};
-use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite};
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 
 /// Time limit of the handshake.
 const TIMEOUT: Duration = Duration::from_secs(10);
+/// Time limit for sending a rejected peer the reason.
+const REJECTION_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The HTTP/2 client preface (RFC 9113, section 3.4).
 const PREFACE: [u8; 24] = *b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
@@ -55,12 +57,29 @@ async fn handshake(
         let stream = after_preface(stream, peer).await?;
         return Ok(Accepted { stream, standing: Standing::Unasked });
     };
-    let stream = TlsAcceptor::from(tls.config())
-        .accept(stream)
-        .await
-        .map_err(|error| explain_rejection(&error))?;
-    let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
-    Ok(Accepted { stream: after_preface(stream, peer).await?, standing })
+    match TlsAcceptor::from(tls.config()).accept(stream).into_fallible().await {
+        Ok(stream) => {
+            let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
+            Ok(Accepted { stream: after_preface(stream, peer).await?, standing })
+        }
+        Err((error, stream)) => {
+            close(stream).await;
+            Err(explain_rejection(&error))
+        }
+    }
+}
+
+/// Closes the connection after an alert, and reads until the peer closes it, too. Closing a socket with unread bytes
+/// resets the connection, and the peer would lose the alert.
+async fn close(mut stream: TcpStream) {
+    let closing = async {
+        stream.shutdown().await?;
+        let mut unread = [0; 4096];
+        while stream.read(&mut unread).await? > 0 {}
+        io::Result::Ok(())
+    };
+    // The connection is dropped whether or not the peer received the alert.
+    let _closed = tokio::time::timeout(REJECTION_TIMEOUT, closing).await;
 }
 
 /// Waits for the whole preface, since tonic's server waits for it without a timeout. The returned stream repeats it. It
