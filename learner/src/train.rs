@@ -3,6 +3,6 @@
 pub mod assemble;
 pub mod environments;
 pub mod evaluation;
-mod fail_points;
+pub(crate) mod fail_points;
 pub(crate) mod provenance;
 pub mod trainer;

@@ -1,8 +1,9 @@
 //! Damaged files in a run folder: every reader notices, no run is lost, and a resume repairs what it can.
 
 use std::path::Path;
+use std::process::Command;
 
-use crate::runs::{Runs, inspect, s2mia, succeeded, train};
+use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
 
 /// Standard error of a command that succeeds.
 fn warned(arguments: &[&str]) -> String {
@@ -112,4 +113,45 @@ fn a_start_that_ended_before_its_manifest_is_no_run_and_a_new_run_takes_the_fold
     std::fs::write(folder.join("config.toml"), "task = \"ant-2x4\"\n").unwrap();
     train(&folder, &["run.iterations=1"]);
     assert_eq!(inspect(&folder)["iteration"], 1);
+}
+
+/// The number of failed checkpoints in a row, as each iteration reports it.
+fn checkpoints_failed(folder: &Path) -> Vec<Option<f64>> {
+    let metrics = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
+    let lines =
+        metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let iterations = lines.filter(|line| line["kind"] == "iteration");
+    iterations.map(|line| line["checkpoints_failed"].as_f64()).collect()
+}
+
+#[test]
+fn a_full_disk_at_a_step_of_a_checkpoint_does_not_affect_training_and_it_is_retried() {
+    let runs = Runs::new();
+    let quiet = runs.folder("quiet");
+    let length = ["run.iterations=4", "evaluation.every_steps=0"];
+    train(&quiet, &length);
+    for step in ["WriteFile", "Rename", "RemoveOld"] {
+        let folder = runs.folder(step);
+        let dir = format!("run.dir={}", folder.display());
+        let mut run = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+        run.args([&["train"], TINY, &[dir.as_str()], &length].concat());
+        let ended = run.env("S2MIA_FAIL_AT", format!("{step}@2")).output().unwrap();
+        let told = String::from_utf8(ended.stderr).unwrap();
+        assert!(ended.status.success() && told.contains("checkpoint failed"), "{step}: {told}");
+        assert_eq!(inspect(&folder)["state_sha256"], inspect(&quiet)["state_sha256"], "{step}");
+        assert_eq!(checkpoints_failed(&folder), [0.0, 0.0, 1.0, 0.0].map(Some), "{step}");
+        assert!(folder.join("checkpoints/iter_00000003").is_dir(), "{step}");
+    }
+}
+
+#[test]
+fn a_misspelt_fail_point_is_refused_with_the_list_of_points() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let dir = format!("run.dir={}", folder.display());
+    let mut run = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    run.args([&["train"], TINY, &[dir.as_str()]].concat());
+    let ended = run.env("S2MIA_FAIL_AT", "mid-updates@1").output().unwrap();
+    let told = String::from_utf8(ended.stderr).unwrap();
+    assert!(!ended.status.success() && told.contains("mid-update, "), "{told}");
 }
