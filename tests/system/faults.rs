@@ -12,7 +12,7 @@ use crate::learners::{Learner, inspect};
 use crate::runs::s2mia;
 use crate::waiting::{eventually, has_begun};
 use security::Role;
-use security::development::Issuer;
+use security::development::{Issued, Issuer};
 
 /// Iterations of a run that is stopped when its test has seen enough.
 const ENDLESS: &str = "run.iterations=1000000";
@@ -153,36 +153,76 @@ fn files(folder: &Path, authority: &str, name: &str) -> Vec<String> {
         .collect()
 }
 
-#[test]
-fn an_actor_whose_certificate_expires_keeps_its_connection_and_gets_no_new_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path();
-    let (lasting, short) =
-        (Issuer::new(SystemTime::now(), DAY), Issuer::new(SystemTime::now(), SHORT));
-    let (lasting, short) = (lasting.unwrap(), short.unwrap());
-    let authorities = [lasting.certificate(), short.certificate()].concat();
-    std::fs::write(path.join("ca.pem"), authorities).unwrap();
-    let server = lasting.server(&["127.0.0.1".to_owned()]).unwrap();
-    for (name, issued) in [("server", server), ("actor", short.client(&[Role::Actor]).unwrap())] {
-        std::fs::write(path.join(format!("{name}.key")), &issued.key).unwrap();
-        std::fs::write(path.join(format!("{name}.pem")), &issued.certificate).unwrap();
+/// A learner over TLS and an actor at work. One of the two certificates, `expiring`, expires soon.
+struct Guarded {
+    folder: tempfile::TempDir,
+    lasting: Issuer,
+    learner: Learner,
+    actor: Actor,
+}
+
+impl Guarded {
+    fn start(expiring: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let lasting = Issuer::new(SystemTime::now(), DAY).unwrap();
+        let short = Issuer::new(SystemTime::now(), SHORT).unwrap();
+        let authorities = [lasting.certificate(), short.certificate()].concat();
+        std::fs::write(folder.path().join("ca.pem"), authorities).unwrap();
+        let issuer = |name| if name == expiring { &short } else { &lasting };
+        let server = issuer("server").server(&["127.0.0.1".to_owned()]).unwrap();
+        write(folder.path(), "server", &server);
+        write(folder.path(), "actor", &issuer("actor").client(&[Role::Actor]).unwrap());
+        let run = folder.path().join("run");
+        let tls = files(folder.path(), "--tls-client-ca", "server");
+        let learner = Learner::start(&run, &[vec![ENDLESS.to_owned()], tls].concat());
+        let tls = files(folder.path(), "--tls-ca", "actor");
+        let actor = Actor::start(folder.path(), "one", &learner.url, &tls);
+        has_begun(&run);
+        Self { folder, lasting, learner, actor }
     }
-    let run_folder = path.join("run");
-    let settings = [vec![ENDLESS.to_owned()], files(path, "--tls-client-ca", "server")];
-    let mut learner = Learner::start(&run_folder, &settings.concat());
-    let tls = files(path, "--tls-ca", "actor");
-    let one = Actor::start(path, "one", &learner.url, &tls);
-    has_begun(&run_folder);
-    let health =
-        [vec!["health".to_owned(), "--learner".to_owned(), learner.url.clone()], tls].concat();
-    let health = health.iter().map(String::as_str).collect::<Vec<_>>();
-    let why = eventually(|| match s2mia(&health) {
-        asked if asked.status.success() => Err("the certificate has not expired".to_owned()),
-        asked => Ok(String::from_utf8(asked.stderr).unwrap()),
-    });
-    assert!(why.contains("actor.pem expired at "), "{why}");
-    continues(&run_folder);
-    assert!(!one.log().contains("session ended"), "{}", one.log());
-    stopped(&mut learner, vec![one]);
-    ends_as_undisturbed(&run_folder);
+
+    /// Waits until a new connection is refused, while the actor keeps its own; returns the reason.
+    fn refusal(&self) -> String {
+        let tls = files(self.folder.path(), "--tls-ca", "actor");
+        let tls = tls.iter().map(String::as_str);
+        let health = ["health", "--learner", &self.learner.url].into_iter().chain(tls);
+        let health = health.collect::<Vec<_>>();
+        let why = eventually(|| match s2mia(&health) {
+            asked if asked.status.success() => Err("the certificate has not expired".to_owned()),
+            asked => Ok(String::from_utf8(asked.stderr).unwrap()),
+        });
+        continues(&self.folder.path().join("run"));
+        assert!(!self.actor.log().contains("session ended"), "{}", self.actor.log());
+        why
+    }
+}
+
+fn write(folder: &Path, name: &str, issued: &Issued) {
+    std::fs::write(folder.join(format!("{name}.key")), &issued.key).unwrap();
+    std::fs::write(folder.join(format!("{name}.pem")), &issued.certificate).unwrap();
+}
+
+#[test]
+fn an_actor_whose_certificate_expires_keeps_its_connection_and_a_new_one_reads_the_renewed_file() {
+    let Guarded { folder, lasting, mut learner, actor } = {
+        let guarded = Guarded::start("actor");
+        let why = guarded.refusal();
+        assert!(why.contains("actor.pem expired at "), "{why}");
+        guarded
+    };
+    write(folder.path(), "actor", &lasting.client(&[Role::Actor]).unwrap());
+    let tls = files(folder.path(), "--tls-ca", "actor");
+    let second = Actor::start(folder.path(), "two", &learner.url, &tls);
+    says(|| learner.log(), "actor registered", 2);
+    stopped(&mut learner, vec![actor, second]);
+    ends_as_undisturbed(&folder.path().join("run"));
+}
+
+#[test]
+fn a_learner_whose_certificate_expires_keeps_its_connections_and_gets_no_new_ones() {
+    let guarded = Guarded::start("server");
+    let why = guarded.refusal();
+    assert!(why.contains("the learner's certificate is refused: certificate expired"), "{why}");
+    let Guarded { mut learner, actor, .. } = guarded;
+    stopped(&mut learner, vec![actor]);
 }
