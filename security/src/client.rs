@@ -67,3 +67,27 @@ impl fmt::Debug for ClientTls {
         formatter.debug_struct("ClientTls").finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rustls::RootCertStore;
+
+    use super::*;
+
+    #[test]
+    fn the_debug_form_shows_no_key() {
+        let config = ClientConfig::builder_with_provider(Arc::new(provider()))
+            .with_protocol_versions(&[&rustls::version::TLS13])
+            .unwrap()
+            .with_root_certificates(RootCertStore::empty())
+            .with_no_client_auth();
+        let tls = ClientTls {
+            authority: b"authority".to_vec(),
+            certificate: b"certificate".to_vec(),
+            key: b"key".to_vec(),
+            server_name: None,
+            config: Arc::new(config),
+        };
+        assert_eq!(format!("{tls:?}"), "ClientTls { .. }");
+    }
+}

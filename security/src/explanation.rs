@@ -3,7 +3,7 @@
 use std::error::Error;
 use std::io;
 
-use rustls::{AlertDescription, CertificateError};
+use rustls::{AlertDescription, CertificateError, InvalidMessage};
 
 /// Explanation, for the user of a client, of the TLS error that `error` is or comes from. `None` if there is no TLS
 /// error, and for transient ones, such as corrupted data, after which a retry may succeed.
@@ -16,7 +16,7 @@ pub fn explain(error: &(dyn Error + 'static)) -> Option<String> {
 #[must_use]
 pub fn explain_rejection(error: &io::Error) -> String {
     match tls_error(error) {
-        Some(rustls::Error::InvalidMessage(_)) => {
+        Some(rustls::Error::InvalidMessage(InvalidMessage::InvalidContentType)) => {
             "the peer speaks plain text, but this learner requires TLS".to_owned()
         }
         _ => error.to_string(),
@@ -84,5 +84,16 @@ mod tests {
         assert_eq!(explained(AlertReceived(AlertDescription::BadRecordMac)), None);
         assert_eq!(explained(rustls::Error::DecryptError), None);
         assert_eq!(explain(&io::Error::from(io::ErrorKind::ConnectionReset)), None);
+    }
+
+    #[test]
+    fn only_a_first_byte_of_another_protocol_is_plain_text() {
+        let told = |why: InvalidMessage| {
+            let error = rustls::Error::InvalidMessage(why);
+            explain_rejection(&io::Error::new(io::ErrorKind::InvalidData, error))
+        };
+        let plain = "the peer speaks plain text, but this learner requires TLS";
+        assert_eq!(told(InvalidMessage::InvalidContentType), plain);
+        assert!(told(InvalidMessage::MessageTooLarge).contains("MessageTooLarge"));
     }
 }

@@ -36,17 +36,11 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SecurityError> {
     })
 }
 
-/// The certificates in `pem`, which was read from `path`: at least one; the first is valid at `now`.
-pub(crate) fn certificates(
-    path: &Path,
-    pem: &[u8],
-    now: UnixTime,
-) -> Result<Vec<CertificateDer<'static>>, SecurityError> {
+/// The certificates in `pem`, which was read from `path`: at least one.
+fn certificates(path: &Path, pem: &[u8]) -> Result<Vec<CertificateDer<'static>>, SecurityError> {
     let found = CertificateDer::pem_slice_iter(pem).collect::<Result<Vec<_>, _>>();
     let chain = found.ok().filter(|chain| !chain.is_empty());
-    let chain = chain.ok_or_else(|| not_pem(path, CERTIFICATE))?;
-    demand_validity(path, &chain[0], now)?;
-    Ok(chain)
+    chain.ok_or_else(|| not_pem(path, CERTIFICATE))
 }
 
 /// Refuses a certificate, read from `path`, that is not valid at `now`. Peers would refuse it without this reason.
@@ -55,8 +49,9 @@ fn demand_validity(
     certificate: &CertificateDer<'_>,
     now: UnixTime,
 ) -> Result<(), SecurityError> {
-    let parsed = EndEntityCert::try_from(certificate)
-        .map_err(|_| unusable(path, CERTIFICATE, "it is damaged".to_owned()))?;
+    let parsed = EndEntityCert::try_from(certificate).map_err(|why| {
+        unusable(path, CERTIFICATE, format!("it is damaged or unsupported ({why})"))
+    })?;
     // The period is checked first. There are no authorities, so the verification fails afterwards in any case.
     let verified = parsed.verify_for_usage(&[], &[], &[], now, KeyUsage::client_auth(), None, None);
     let path = path.to_path_buf();
@@ -90,10 +85,19 @@ pub(crate) fn authorities(
     now: UnixTime,
 ) -> Result<RootCertStore, SecurityError> {
     let mut roots = RootCertStore::empty();
-    for certificate in certificates(path, pem, now)? {
+    let found = certificates(path, pem)?;
+    if !is_of_old_version(&found[0]) {
+        demand_validity(path, &found[0], now)?;
+    }
+    for certificate in found {
         roots.add(certificate).map_err(|error| unusable(path, CERTIFICATE, error.to_string()))?;
     }
     Ok(roots)
+}
+
+/// Whether the certificate is older than X.509 version 3. Rustls accepts such an authority, but cannot tell its period.
+fn is_of_old_version(certificate: &CertificateDer<'_>) -> bool {
+    matches!(EndEntityCert::try_from(certificate), Err(webpki::Error::UnsupportedCertVersion))
 }
 
 /// A certificate and its key from the contents of both files.
@@ -103,7 +107,8 @@ pub(crate) fn certified_key(
     key_pem: &[u8],
     now: UnixTime,
 ) -> Result<CertifiedKey, SecurityError> {
-    let chain = certificates(&files.certificate, certificate_pem, now)?;
+    let chain = certificates(&files.certificate, certificate_pem)?;
+    demand_validity(&files.certificate, &chain[0], now)?;
     // The parser's message may quote the file, so it is not passed on.
     let key =
         PrivateKeyDer::from_pem_slice(key_pem).map_err(|_| not_pem(&files.key, PRIVATE_KEY))?;
@@ -156,7 +161,11 @@ mod tests {
         for (certificate, key, line) in [
             ("", own.key.as_str(), "own.pem holds no certificate in PEM form"),
             (&own.key, &own.key, "own.pem holds no certificate in PEM form"),
-            (damaged, &own.key, "own.pem holds a certificate that cannot be used: it is damaged"),
+            (
+                damaged,
+                &own.key,
+                "own.pem holds a certificate that cannot be used: it is damaged or unsupported (BadDer)",
+            ),
             (&own.certificate, "", "own.key holds no private key in PEM form"),
             (&own.certificate, cut, "own.key holds no private key in PEM form"),
             (
