@@ -204,3 +204,13 @@ fn no_slot_is_audited_while_only_one_process_is_connected() {
     complete(&mut table, &first);
     assert_eq!(table.footprint().open_audits, 0);
 }
+
+#[test]
+fn a_slot_that_no_other_process_may_audit_soon_counts_as_skipped() {
+    let mut table = audited_table(1);
+    let (a, _silent) = (actor(&mut table, 1), actor(&mut table, 2));
+    table.tick(second(61));
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 1), 0));
+}

@@ -162,7 +162,7 @@ impl SlotTable {
                 self.failures.forget(key);
                 self.actors.counted(owner);
                 self.times.add(key.group, took, &work);
-                if let Some(accepted) = self.audited(id, owner, &work) {
+                if let Some(accepted) = self.audited(id, owner, key.group, &work) {
                     let wait = self.wait_for_audit(key.group, took);
                     let process = owner.process;
                     let audit = Audit { work, weights, accepted, process, wait, holder: None };
@@ -179,13 +179,26 @@ impl SlotTable {
         }
     }
 
-    /// The accepted result, if it is to be audited: the sample covers it, and another process may soon do so.
-    fn audited(&self, id: LeaseId, owner: Owner, work: &Work) -> Option<Computed> {
+    /// The accepted result, if it is to be audited: the sample covers it, and another process may soon do so. The audit of
+    /// a slot is skipped if there are other processes, but none of them is at work.
+    fn audited(
+        &mut self,
+        id: LeaseId,
+        owner: Owner,
+        group: Group,
+        work: &Work,
+    ) -> Option<Computed> {
+        if owner.trust != Trust::Exact || !self.audits.covers(work) {
+            return None;
+        }
+        let (own, processes) = (owner.process, &self.actors.processes);
         let holds = |process| self.open.held_by(process) > 0;
-        let is_audited = owner.trust == Trust::Exact
-            && self.audits.covers(work)
-            && self.actors.processes.can_audit_soon(owner.process, self.now, holds);
-        let digests = self.finished.digests(id).filter(|_| is_audited)?.to_vec();
+        if !processes.can_audit_soon(own, self.now, holds) {
+            let others = processes.registered(Trust::Exact).any(|process| process != own);
+            self.audits.counts.skipped += u64::from(group == Group::Slots && others);
+            return None;
+        }
+        let digests = self.finished.digests(id)?.to_vec();
         Some(Computed { actor: owner.actor, lease: id, digests })
     }
 
