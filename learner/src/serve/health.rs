@@ -1,5 +1,6 @@
 //! The client of the standard gRPC health protocol.
 
+use std::error::Error as _;
 use std::time::Duration;
 
 use security::ClientTls;
@@ -51,7 +52,7 @@ pub enum HealthError {
     },
 }
 
-/// Checks once that the learner at `url` reports `SERVING`, over TLS with `tls`. Each of the two answers may take `timeout`.
+/// Checks once that the learner at `url` reports `SERVING`, within `timeout`, over TLS with `tls`.
 ///
 /// # Errors
 /// The learner is not healthy or does not respond.
@@ -60,10 +61,14 @@ pub async fn demand_serving(
     tls: Option<&ClientTls>,
     timeout: Duration,
 ) -> Result<(), HealthError> {
-    let channel = connect(url, tls, timeout).await?;
     // The empty name means the whole server.
     let request = HealthCheckRequest { service: String::new() };
-    let answer = answered(url, timeout, HealthClient::new(channel).check(request)).await?;
+    let check = async {
+        let channel = connect(url, tls, timeout).await?;
+        answered(url, timeout, HealthClient::new(channel).check(request)).await
+    };
+    let answer = tokio::time::timeout(timeout, check).await;
+    let answer = answer.map_err(|_| timed_out(url, timeout))??;
     match answer.status() {
         ServingStatus::Serving => Ok(()),
         other => Err(HealthError::NotServing { url: url.to_owned(), status: other.as_str_name() }),
@@ -142,11 +147,16 @@ pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
 fn explanation(status: &Status) -> String {
     const BROKEN: &str = "it closed the connection or does not speak gRPC; if it requires TLS, pass --tls-ca, \
                           --tls-certificate and --tls-key, and use https:// in the URL";
+    /// What tonic says of an HTTP answer that is none of gRPC.
+    const NOT_GRPC: &str = "grpc-status header missing";
     if let Some(why) = security::explain(status) {
         return why;
     }
-    let broken = status.message().starts_with("h2 protocol error");
-    if broken || matches!(status.code(), Code::Cancelled | Code::Unknown) {
+    let said = status.message();
+    // An answer of the server has no source.
+    let is_lost = status.source().is_some() || said.is_empty() || said.starts_with(NOT_GRPC);
+    let is_vague = matches!(status.code(), Code::Cancelled | Code::Unknown);
+    if said.starts_with("h2 protocol error") || is_vague && is_lost {
         return BROKEN.to_owned();
     }
     proto::in_words(status)
