@@ -52,8 +52,9 @@ fn host(text: &str) -> Option<String> {
     }
     let absolute = host.strip_suffix('.').filter(|name| name.parse::<Ipv4Addr>().is_err());
     let name = absolute.unwrap_or(host).to_ascii_lowercase();
-    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-    (!name.is_empty() && name.bytes().all(is_plain)).then_some(name)
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
+    let is_label = |label: &str| !label.is_empty() && label.bytes().all(is_plain);
+    name.split('.').all(is_label).then_some(name)
 }
 
 /// The one spelling of an address. An IPv4 address that is mapped to IPv6 is the IPv4 address.
@@ -141,7 +142,7 @@ mod tests {
             assert!(hosts.allow(host), "{host}");
         }
         assert!(!hosts.allow("learner.example.org") && !hosts.allow("example.org"));
-        for wrong in ["http://learner", "learner/", "", "a b", "*"] {
+        for wrong in ["http://learner", "learner/", "", "a b", "*", "a..b", ".", "..", ".x"] {
             assert!(Hosts::with(&[wrong.to_owned()]).is_err(), "{wrong}");
         }
     }
