@@ -45,7 +45,8 @@ pub struct AgentSpec {
     pub observation: Vec<FeatureSpec>,
     /// Indices in the global state of the observed features, unscaled; empty if the state lacks any of them.
     pub seen: Vec<usize>,
-    /// Indices in the global state of the features that `k_nearest` would show; empty in the same case.
+    /// Indices in the global state of the features that `k_nearest` would show; empty in the same case. Nothing here reads
+    /// or compares them: programs of earlier versions do, and the digest of a description covers them.
     pub near: Vec<usize>,
     /// Its action.
     pub action: ActionSpec,
@@ -102,7 +103,7 @@ pub struct Difference {
 }
 
 impl EnvironmentSpec {
-    /// The first difference of `found` from this description, in field order; `None` if equal.
+    /// The first difference of `found` from this description, in field order; `None` if equal but for [`AgentSpec::near`].
     #[must_use]
     pub fn first_difference(&self, found: &Self) -> Option<Difference> {
         differ("task", &found.task, &self.task)
@@ -141,7 +142,7 @@ impl EnvironmentSpec {
             let agent_field = format!("{field}.agents[{i}]");
             agent.check_names(&agent_field)?;
             agent.action.check(&format!("{agent_field}.action.choices"))?;
-            agent.check_indices(self.state.len(), &format!("{agent_field}.seen or near"))?;
+            agent.check_indices(self.state.len(), &format!("{agent_field}.seen"))?;
         }
         positive(self.episode_steps.into(), &format!("{field}.episode_steps"))?;
         seconds(self.dt_secs, &format!("{field}.dt_secs"))
@@ -229,9 +230,9 @@ impl AgentSpec {
         check_names(&self.observation, &format!("{field}.observation"))
     }
 
-    /// Checks its indices into a global state of `state` features.
+    /// Checks the indices of what it observes in a global state of `state` features.
     fn check_indices(&self, state: usize, field: &str) -> Result<(), Refusal> {
-        match self.seen.iter().chain(&self.near).find(|index| **index >= state) {
+        match self.seen.iter().find(|index| **index >= state) {
             None => Ok(()),
             Some(index) => {
                 let detail = format!("index {index} in a global state of {state} features");
@@ -347,7 +348,6 @@ fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {
         .or_else(|| list("joints", &found.joints, &expected.joints, |a, b| differ("", a, b)))
         .or_else(|| list("observation", &found.observation, &expected.observation, feature))
         .or_else(|| differ("seen", &found.seen, &expected.seen))
-        .or_else(|| differ("near", &found.near, &expected.near))
         .or_else(|| differ("action.size", &act.size, &right.size))
         .or_else(|| differ("action.low", &act.low, &right.low))
         .or_else(|| differ("action.high", &act.high, &right.high))

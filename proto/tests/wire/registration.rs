@@ -99,6 +99,16 @@ fn another_build_is_refused_by_name_unless_the_run_allows_it_and_the_fingerprint
     assert_eq!(foreign.check(&sample::run()), Ok(()));
 }
 
+#[test]
+fn indices_near_an_agent_are_neither_compared_nor_checked() {
+    let mut other = registration();
+    other.environment.agents[0].near = vec![9999];
+    assert_eq!(other.check(&sample::run()), Ok(()));
+    let environment = Some(other.environment.to_wire());
+    let answer = wire::DescribeEnvironmentResponse { environment };
+    assert_eq!(EnvironmentSpec::from_service(answer), Ok(other.environment));
+}
+
 /// Spoils one field.
 type Change = fn(&mut EnvironmentSpec);
 
