@@ -66,7 +66,7 @@ fn play_with_ends(snapshot: &PolicySnapshot, iteration: u64, ends: [bool; STEPS]
     };
     let mut hidden = [0, 1].map(|_| vec![0.0; ENVIRONMENTS * policy().hidden]);
     let mut scratch = Scratch::default();
-    for step in 0..STEPS {
+    for (step, done) in ends.into_iter().enumerate() {
         if step % 2 == 0 {
             hidden.iter_mut().for_each(|hidden| hidden.fill(0.0));
         }
@@ -92,7 +92,6 @@ fn play_with_ends(snapshot: &PolicySnapshot, iteration: u64, ends: [bool; STEPS]
         }
         let error = |(sum, state): (&f32, &[f32])| (sum - state[0]) * (sum - state[0]);
         batch.reward.extend(sums.iter().zip(states.chunks_exact(2)).map(|pair| 1.0 - error(pair)));
-        let done = ends[step];
         batch.terminated.extend(std::iter::repeat_n(done, ENVIRONMENTS));
         batch.truncated.extend(std::iter::repeat_n(false, ENVIRONMENTS));
         batch.state.extend(states);

@@ -164,7 +164,7 @@ mod tests {
             (
                 damaged,
                 &own.key,
-                "own.pem holds a certificate that cannot be used: it is damaged or unsupported (BadDer)",
+                "own.pem holds a certificate that cannot be used: it is damaged or unsupported (TrailingData(SignedData))",
             ),
             (&own.certificate, "", "own.key holds no private key in PEM form"),
             (&own.certificate, cut, "own.key holds no private key in PEM form"),

@@ -124,7 +124,6 @@ mod tests {
             let of = (&agent.trainable.vars()[span.var], found.0[span.var].as_slice());
             let significant = meets_finite_differences(&loss, of, elements.clone(), (2e-3, 5e-3));
             let name = span.name.as_str();
-            println!("{name}: {significant} of {}", elements.len());
             if ["head.weight", "second_head.joined.weight", "second_head.head.weight"]
                 .contains(&name)
             {
