@@ -12,7 +12,7 @@ pub(crate) mod second_head;
 use crate::distribution::HeadRows;
 use crate::shape::assert_shape;
 
-/// Row `row` of the influence term: [`capped_divergence`] of the posterior `q` from the policy `p`.
+/// Row `row` of the influence term: `capped_divergence` of the posterior `q` from the policy `p`.
 #[must_use]
 pub fn influence(row: usize, q: &HeadRows, p: &HeadRows, kappa: f64) -> (f64, f64) {
     let divergence = p.distribution().kl_divergence(q.row(row), p.row(row));

@@ -196,7 +196,7 @@ impl HeadRows {
         parts[0].with_outputs(all)
     }
 
-    /// A scalar whose gradient with respect to the tensors of `head` is this one; see [`gradient::root`].
+    /// A scalar whose gradient with respect to the tensors of `head` is this one; see `gradient::root`.
     ///
     /// # Errors
     /// If a tensor operation fails.

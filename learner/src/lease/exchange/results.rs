@@ -32,7 +32,7 @@ impl Exchange {
     /// an episode. An acknowledgement if it was taken in before.
     ///
     /// # Errors
-    /// What [`SlotTable::preview`] refuses, and weights that are not held.
+    /// What [`SlotTable::preview`](crate::lease::slots::SlotTable::preview) refuses, and weights that are not held.
     pub fn expected(
         &self,
         sender: ConnectionId,
@@ -56,7 +56,7 @@ impl Exchange {
     /// Takes in a part of a result that `check` has passed.
     ///
     /// # Errors
-    /// What [`SlotTable::preview`] refuses: the lease may have ended meanwhile.
+    /// What [`SlotTable::preview`](crate::lease::slots::SlotTable::preview) refuses: the lease may have ended meanwhile.
     pub fn take(
         &self,
         sender: ConnectionId,
