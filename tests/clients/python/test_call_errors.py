@@ -158,7 +158,8 @@ def test_a_signal_stops_an_actor_without_a_traceback(serve, number):
     learner = serve("stopped", [*SMALL, "run.iterations=100000"])
     words = [sys.executable, "-m", "s2mia.actor", learner.url]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen(words, cwd=CLIENTS, text=True, **pipes)
+    # A shell's background job, as a test run may be, ignores SIGINT, and so would its children.
+    process = subprocess.Popen(words, cwd=CLIENTS, text=True, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL), **pipes)
     assert process.stdout.readline().startswith("run stopped, actor ")
     process.send_signal(number)
     assert process.communicate(timeout=60)[1] == "stopped\n"
