@@ -15,13 +15,6 @@ import sys
 import tomllib
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-# Settings that take no part in the hash; src/config/keys.rs has the same list.
-OPERATIONAL = ("run.actors", "run.dir", "run.env_steps", "run.iterations", "environment_service.url", "environments.per_slot",
-               "lease.", "audit.", "evaluation.", "checkpoint.", "learner.", "log.")  # fmt: skip
-
-
-def is_semantic(key: str) -> bool:
-    return not any(key == name or (name.endswith(".") and key.startswith(name)) for name in OPERATIONAL)
 
 
 def flat(table: dict, prefix: str = "") -> list[str]:
@@ -36,7 +29,7 @@ def flat(table: dict, prefix: str = "") -> list[str]:
 
 
 def resolved(program: str, arguments: list[str]) -> dict[str, str] | None:
-    """The settings as the program writes them, or None if it refuses one."""
+    """What `s2mia config` prints: the settings and `config_sha256`; None if it refuses one."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("S2MIA__")}
     result = subprocess.run([program, "config", *arguments], capture_output=True, text=True, env=environment, check=False)
     if result.returncode:
@@ -45,21 +38,19 @@ def resolved(program: str, arguments: list[str]) -> dict[str, str] | None:
     for line in result.stdout.splitlines():
         if line.startswith("["):
             section = line.strip()[1:-1] + "."
-        elif " = " in line and not line.startswith("#"):
+        elif line.startswith("# config_sha256 = "):
+            found["config_sha256"] = line.split(" = ")[1]
+        elif " = " in line:
             key, value = line.split(" = ", 1)
             found[section + key] = value.split("  # ")[0].rstrip()
     return found
 
 
-def settings_sha256(settings: dict[str, str], seed: int, steps: int) -> str:
-    """The hash that `s2mia experiment` records for a run."""
-    semantic = {key: value for key, value in settings.items() if is_semantic(key)} | {"run.seed": str(seed)}
-    if settings["update.learning_rate_decay"] == '"linear"':
-        semantic |= {"run.env_steps": str(steps), "run.iterations": settings["run.iterations"]}
-    digest = hashlib.sha256("".join(f"{key} = {semantic[key]}\n" for key in sorted(semantic)).encode()).digest()
-    hasher = hashlib.sha256(digest)
-    for key in ("evaluation.every_steps", "evaluation.episodes"):
-        hasher.update(f"{key} = {settings[key]}\n".encode())
+def recorded_sha256(found: dict[str, str], every_steps: str) -> str:
+    """The hash that `s2mia experiment` records for a run: src/experiment/record.rs."""
+    hasher = hashlib.sha256(bytes.fromhex(found["config_sha256"]))
+    hasher.update(f"evaluation.every_steps = {every_steps}\n".encode())
+    hasher.update(f"evaluation.episodes = {found['evaluation.episodes']}\n".encode())
     return hasher.hexdigest()
 
 
@@ -74,15 +65,16 @@ def planned(path: pathlib.Path, program: str) -> dict[tuple, str]:
             url = file.get("environments", {}).get(task)
             service = [f"environment_service.url={url}"] if url else []
             names = [f"task={task}", f"algorithm={variant['algorithm']}"]
-            found = resolved(program, [*names, *service, *settings, f"run.env_steps={steps}"])
-            if found is None:
-                continue
             chosen = any(setting.startswith("evaluation.every_steps=") for setting in settings)
-            if int(found["evaluation.every_steps"]) > steps // 10 and not chosen:
-                found["evaluation.every_steps"] = str(max(steps // 10, 1))
             for seed in variant.get("seeds", file["seeds"]):
+                found = resolved(program, [*names, *service, *settings, f"run.env_steps={steps}", f"run.seed={seed}"])
+                if found is None:
+                    continue
+                every_steps = found["evaluation.every_steps"]
+                if int(every_steps) > steps // 10 and not chosen:
+                    every_steps = str(max(steps // 10, 1))
                 name = variant.get("name", variant["algorithm"])
-                hashes[task, name, seed] = settings_sha256(found, seed, steps)
+                hashes[task, name, seed] = recorded_sha256(found, every_steps)
     return hashes
 
 
