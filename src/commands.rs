@@ -28,7 +28,7 @@ use clap::builder::{PathBufValueParser, TypedValueParser as _};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use tracing_subscriber::filter::LevelFilter;
 
-use crate::process::output::{Effect, LogFormat};
+use crate::process::output::{CommandKind, LogFormat};
 use crate::process::shell;
 use crate::run::launch::BUILD;
 use crate::run::launch::SettingsArguments;
@@ -145,16 +145,16 @@ impl Command {
         }
     }
 
-    /// Whether the command does anything besides printing.
-    pub(crate) fn effect(&self) -> Effect {
+    /// Whether the command only prints or does more.
+    pub(crate) fn kind(&self) -> CommandKind {
         match self {
             Self::Status(_)
             | Self::Watch(_)
             | Self::Eval(_)
             | Self::Inspect(_)
-            | Self::Config(_) => Effect::Lines,
-            Self::Tasks(tasks) if tasks.picture.is_none() => Effect::Lines,
-            _ => Effect::Work,
+            | Self::Config(_) => CommandKind::Lines,
+            Self::Tasks(tasks) if tasks.picture.is_none() => CommandKind::Lines,
+            _ => CommandKind::Work,
         }
     }
 }

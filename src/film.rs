@@ -10,7 +10,7 @@ use kuva::render::render::{Primitive, Scene, TextAnchor};
 use sim::{EnvironmentBatch, LinkShape, Outcome, Pose, Robot};
 use tiny_skia::{BlendMode, Color, Pixmap, PixmapPaint, Transform};
 
-use crate::film::drawing::{Camera, HEIGHT, Solid, View, WIDTH};
+use crate::film::drawing::{Camera, HEIGHT, ProjectedCapsule, ViewDirection, WIDTH};
 
 pub(crate) use episode::PlayedEpisode;
 
@@ -32,7 +32,7 @@ impl RobotShapes {
 }
 
 /// A pose to be drawn.
-pub(crate) struct Frame<'a> {
+pub(crate) struct TimedPose<'a> {
     /// Time since the start of the episode.
     pub(crate) time_secs: f64,
     /// Where the links are.
@@ -43,9 +43,11 @@ pub(crate) struct Frame<'a> {
 ///
 /// # Errors
 /// If the picture cannot be encoded.
-pub(crate) fn strip(robot: &RobotShapes, frames: &[Frame<'_>]) -> anyhow::Result<Vec<u8>> {
-    let seen: Vec<Vec<Solid>> =
-        frames.iter().map(|frame| drawing::solids(robot, frame.pose, View::Side)).collect();
+pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Result<Vec<u8>> {
+    let seen: Vec<Vec<ProjectedCapsule>> = frames
+        .iter()
+        .map(|frame| drawing::solids(robot, frame.pose, ViewDirection::Side))
+        .collect();
     let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
     let pixels_per_metre = drawing::scale(&seen, &roots);
     let (width, height) = size(frames.len(), robot.agents);
@@ -83,8 +85,8 @@ pub(crate) fn portrait(
     let view = view(robot, pose);
     let mut solids = drawing::solids(robot, pose, view);
     let lift = match view {
-        View::Side => 0.0,
-        View::Above => -edges(&solids).0,
+        ViewDirection::Side => 0.0,
+        ViewDirection::Above => -edges(&solids).0,
     };
     for [_, height] in solids.iter_mut().flat_map(|solid| &mut solid.ends) {
         *height += lift;
@@ -96,8 +98,8 @@ pub(crate) fn portrait(
     let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     let mut panel = match view {
-        View::Side => drawing::panel(&solids, &camera),
-        View::Above => drawing::panel_without_floor(&solids, &camera),
+        ViewDirection::Side => drawing::panel(&solids, &camera),
+        ViewDirection::Above => drawing::panel_without_floor(&solids, &camera),
     };
     let mut captions = Captions::new(width, height);
     let places = joints.iter().map(|&point| {
@@ -115,16 +117,20 @@ pub(crate) fn portrait(
 }
 
 /// From above if the robot is wider than high.
-fn view(robot: &RobotShapes, pose: &Pose) -> View {
+fn view(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
     let extent = |view| {
         let (low, high) = edges(&drawing::solids(robot, pose, view));
         high - low
     };
-    if extent(View::Above) > extent(View::Side) { View::Above } else { View::Side }
+    if extent(ViewDirection::Above) > extent(ViewDirection::Side) {
+        ViewDirection::Above
+    } else {
+        ViewDirection::Side
+    }
 }
 
 /// The lowest and the highest edge of all solids in the picture's plane, metres.
-fn edges(solids: &[Solid]) -> (f32, f32) {
+fn edges(solids: &[ProjectedCapsule]) -> (f32, f32) {
     let edges = solids.iter().flat_map(|solid| {
         solid.ends.map(|[_, height]| (height - solid.radius, height + solid.radius))
     });

@@ -37,7 +37,7 @@ fn run(arguments: commands::Arguments) -> anyhow::Result<()> {
     process::prepare()?;
     let commands::Arguments { log_format, log, command } = arguments;
     process::output::start_log(log_format, log.as_deref(), command.log_filter())?;
-    process::output::start(command.effect());
+    process::output::start(command.kind());
     choose_registers()?;
     commands::run(command)?;
     process::output::finish()

@@ -4,7 +4,7 @@
 use learner::train::assemble::problem;
 use marl::{AgentBatch, Batch, Surprise, SurpriseConfig};
 use policy::RunSeed;
-use policy::randomness::{Draw, Key, Purpose};
+use policy::randomness::{Draw, DrawKey, Purpose};
 use sim::EnvironmentBatch;
 
 const STEPS: usize = 60;
@@ -36,7 +36,7 @@ fn shaken(environments: &mut dyn EnvironmentBatch) -> Batch {
         reward: vec![0.0; STEPS],
         ..Batch::default()
     };
-    let key = Key::of(RunSeed(1), Draw::of(Purpose::Probe));
+    let key = DrawKey::of(RunSeed(1), Draw::of(Purpose::Probe));
     environments.reset(0, 0, 1000, key.0).unwrap();
     for step in 0..STEPS {
         let mut state = vec![0.0; environments.description().state.len()];

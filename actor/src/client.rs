@@ -18,7 +18,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Request, Status, Streaming};
 
-use crate::config::{Config, Transport};
+use crate::config::{ActorConfig, Transport};
 use crate::error::{ActorError, EnvironmentError, causes};
 
 mod diagnosis;
@@ -53,7 +53,7 @@ pub(crate) struct Client {
 
 impl Client {
     /// Connects to the learner within the deadline.
-    pub(crate) async fn connect(config: &Config) -> Result<Self, ActorError> {
+    pub(crate) async fn connect(config: &ActorConfig) -> Result<Self, ActorError> {
         let channel = endpoint(config)?.connect().await.map_err(|error| {
             let mut status = Status::unavailable(causes(&error));
             status.set_source(Arc::new(error));
@@ -169,7 +169,7 @@ fn authorization(token: Option<&Token>) -> Authorization {
     Authorization::new(header.as_deref()).expect("hexadecimal digits are valid in a header")
 }
 
-fn endpoint(config: &Config) -> Result<Endpoint, ActorError> {
+fn endpoint(config: &ActorConfig) -> Result<Endpoint, ActorError> {
     let wrong = |error: tonic::transport::Error| ActorError::Url {
         url: config.learner.clone(),
         why: causes(&error),
@@ -205,7 +205,7 @@ impl From<Status> for ActorError {
 }
 
 /// Replaces an error by its reason if the TLS settings of the two sides do not match.
-pub(crate) async fn explained(error: ActorError, config: &Config) -> ActorError {
+pub(crate) async fn explained(error: ActorError, config: &ActorConfig) -> ActorError {
     let ActorError::Refused(status) = &error else { return error };
     let broken = matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Cancelled)
         || status.message().starts_with("h2 protocol error");

@@ -8,7 +8,7 @@ use crate::error::ActorError;
 
 /// Settings of an actor process.
 #[derive(Clone, Debug)]
-pub struct Config {
+pub struct ActorConfig {
     /// URL of the learner, such as `http://127.0.0.1:50051`.
     pub learner: String,
     /// Transport of the connection.
@@ -40,7 +40,7 @@ pub enum Transport {
     Tls(ClientTls),
 }
 
-impl Config {
+impl ActorConfig {
     /// Checks the learner's URL and the transport.
     ///
     /// # Errors
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     fn refusal(learner: &str, transport: Transport) -> String {
-        let config = Config {
+        let config = ActorConfig {
             learner: learner.to_owned(),
             transport,
             token: None,

@@ -14,7 +14,7 @@ pub mod run;
 mod source;
 mod stepping;
 
-pub use config::{Config, Transport};
+pub use config::{ActorConfig, Transport};
 pub use error::{ActorError, EnvironmentError, causes};
 pub use outside::{EnvironmentService, OutsideEnvironments, States};
 pub use run::run;

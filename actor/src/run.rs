@@ -15,10 +15,10 @@ use tokio::sync::{Mutex, MutexGuard, watch};
 use tokio::task::JoinSet;
 
 use crate::client::{Client, WeightsCache, explained, is_transient};
-use crate::config::Config;
+use crate::config::ActorConfig;
 use crate::error::{ActorError, describe};
 use crate::leasing::{Ended, LeaseSteps, process_lease};
-use crate::source::Source;
+use crate::source::EnvironmentSource;
 use crate::stepping::Stepper;
 
 /// Threads that share a connection. Each has two leases with a call and a heartbeat at a time, so that they need no
@@ -32,7 +32,7 @@ const RETRY_DELAY: (Duration, Duration) = (Duration::from_millis(100), Duration:
 ///
 /// # Errors
 /// If the learner rejects this actor permanently or is unreachable for too long, or the log cannot be started.
-pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), ActorError> {
+pub async fn run(config: ActorConfig, stop: watch::Receiver<bool>) -> Result<(), ActorError> {
     let log =
         config.log.as_ref().map(|log| Log::start(log, &config.name, config.threads)).transpose()?;
     let answered = std::sync::Mutex::new(Instant::now());
@@ -61,7 +61,7 @@ pub async fn run(config: Config, stop: watch::Receiver<bool>) -> Result<(), Acto
 struct Process {
     /// Tells the learner which connections are of this process.
     id: ProcessId,
-    config: Config,
+    config: ActorConfig,
     log: Option<Log>,
     weights: WeightsCache,
     /// When the learner last answered a request for work.
@@ -116,7 +116,7 @@ impl Connection {
         let config = &self.process.config;
         let mut client = Client::connect(config).await?;
         let run = Arc::new(client.describe_run().await?);
-        let source = Source::of(config, &run).await?;
+        let source = EnvironmentSource::of(config, &run).await?;
         let log = self.process.log.as_ref();
         let handle = log.and_then(|log| Some(log.handle(&run, source.task()?)));
         let mut threads = Vec::new();
@@ -177,7 +177,7 @@ impl Thread {
     fn start(
         index: usize,
         own: Registered,
-        (run, source, log): (&Arc<RunDescription>, &Source, Option<LogHandle>),
+        (run, source, log): (&Arc<RunDescription>, &EnvironmentSource, Option<LogHandle>),
     ) -> Result<Self, ActorError> {
         let stepper = Mutex::new(Stepper::start(Arc::clone(run), source, log)?);
         Ok(Self { index, own, turn: Mutex::new(()), stepper })
@@ -243,7 +243,7 @@ impl LeaseWorker<'_> {
 /// Registration of the thread with this index for the run.
 fn registration(
     process: &Process,
-    source: &Source,
+    source: &EnvironmentSource,
     thread: usize,
 ) -> Result<Registration, ActorError> {
     let config = &process.config;

@@ -3,22 +3,22 @@
 use proto::{EnvironmentSpec, RunDescription};
 use sim::{EnvironmentBatch, ObservationNorm, SimError, TaskConfig};
 
-use crate::config::Config;
+use crate::config::ActorConfig;
 use crate::error::ActorError;
 use crate::outside::EnvironmentService;
 
 /// Source of environments.
 #[derive(Clone)]
-pub(crate) enum Source {
+pub(crate) enum EnvironmentSource {
     /// The simulator, with the run's settings.
     Simulator(TaskConfig),
     /// An external program.
     Service(Box<EnvironmentService>),
 }
 
-impl Source {
+impl EnvironmentSource {
     /// Source that `config` selects for `run`.
-    pub(crate) async fn of(config: &Config, run: &RunDescription) -> Result<Self, ActorError> {
+    pub(crate) async fn of(config: &ActorConfig, run: &RunDescription) -> Result<Self, ActorError> {
         if let Some(url) = &config.environment {
             let norm = if run.environment.feature_z {
                 ObservationNorm::FeatureZ

@@ -11,12 +11,12 @@ use proto::{
     RunDescription, Work, wire,
 };
 use recording::trajectory_log::LogHandle;
-use rollout::{Camera, EvaluationEpisode, FILMED, StepEvent, play_episode, roll_out};
+use rollout::{EvaluationEpisode, FILMED, FilmRecorder, StepEvent, play_episode, roll_out};
 use sim::{EnvironmentBatch, SimError};
 use tokio::sync::{Notify, mpsc};
 
 use crate::error::ActorError;
-use crate::source::Source;
+use crate::source::EnvironmentSource;
 
 /// Capacity of the queue of results. When it is full, the stepping thread waits: a slow network delays the rollout and
 /// loses nothing.
@@ -62,7 +62,7 @@ pub(crate) struct Stepper {
 
 struct Worlds {
     run: Arc<RunDescription>,
-    source: Source,
+    source: EnvironmentSource,
     /// As many environments as the last slot had.
     slot: Box<dyn EnvironmentBatch>,
     /// Environment for evaluations, separate from those of slots.
@@ -75,7 +75,7 @@ impl Stepper {
     /// Opens the run's environments and starts the thread; it ends when the stepper is dropped.
     pub(crate) fn start(
         run: Arc<RunDescription>,
-        source: &Source,
+        source: &EnvironmentSource,
         handle: Option<LogHandle>,
     ) -> Result<Self, ActorError> {
         let slot = source.open(run.environments_per_slot as usize)?;
@@ -176,16 +176,18 @@ impl Worlds {
         let key = EvaluationEpisode { seed, iteration, index }.key();
         let handle = self.handle.as_ref();
         let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, work));
-        let mut camera = None;
+        let mut recorder = None;
         let start = (key, choice(&self.run, index));
         let episode = play_episode(self.evaluation.as_mut(), &job.policy, start, |event| {
             match &event {
-                StepEvent::Before(0, world) if index == FILMED => camera = Camera::before(*world),
+                StepEvent::Before(0, world) if index == FILMED => {
+                    recorder = FilmRecorder::before(*world)
+                }
                 StepEvent::Before(..) => {}
                 StepEvent::After(played) => {
                     job.progress.step.store(played.step, Ordering::Relaxed);
-                    if let Some(camera) = &mut camera {
-                        camera.capture(played.world);
+                    if let Some(recorder) = &mut recorder {
+                        recorder.capture(played.world);
                     }
                 }
             }
@@ -201,7 +203,7 @@ impl Worlds {
             extrinsic_return: episode.extrinsic_return,
             steps: episode.steps,
         };
-        Ok((result, camera.map(Camera::film)))
+        Ok((result, recorder.map(FilmRecorder::film)))
     }
 }
 

@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use actor::{Config, Transport};
+use actor::{ActorConfig, Transport};
 use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
 use proto::wire::push_trajectory_request::Content;
@@ -198,7 +198,7 @@ async fn finished_leases(learner: Withholding) -> Vec<u64> {
     let service = LearnerServiceServer::new(Shared(std::sync::Arc::clone(&withholding)));
     let server = tonic::transport::Server::builder().add_service(service);
     tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
-    let config = Config {
+    let config = ActorConfig {
         learner,
         transport: Transport::PlainTextOnLoopback,
         token: None,

@@ -11,8 +11,8 @@ use anyhow::bail;
 use crate::Effort;
 use crate::clock::median;
 use crate::processes::{children, peak_megabytes, processor_secs};
-use crate::settings::{self, Settings, program};
-use crate::table::Row;
+use crate::settings::{self, CaseSettings, program};
+use crate::table::CaseRow;
 use crate::update::TASKS;
 
 /// Iterations that are not counted, because caches are cold.
@@ -33,7 +33,7 @@ pub(crate) fn runs() -> [(&'static str, Vec<&'static str>); 3] {
     ]
 }
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let mut rows = Vec::new();
     for task in TASKS {
         for (name, more) in runs() {
@@ -43,9 +43,9 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn row(task: &str, name: &str, more: &[&str], effort: Effort) -> anyhow::Result<Row> {
+fn row(task: &str, name: &str, more: &[&str], effort: Effort) -> anyhow::Result<CaseRow> {
     let settings = [&[task, "preset=harl"], more].concat();
-    let environments = &Settings::of(&settings)?.learner.environments;
+    let environments = &CaseSettings::of(&settings)?.learner.environments;
     let steps = (environments.count * environments.steps) as f64;
     let folder = tempfile::tempdir()?;
     let dir = format!("run.dir={}", folder.path().join("run").display());
@@ -64,7 +64,7 @@ fn row(task: &str, name: &str, more: &[&str], effort: Effort) -> anyhow::Result<
         ("learner, MB", watched.learner),
         ("learner and actors, MB", watched.learner + watched.others),
     ];
-    Ok(Row { case: format!("{task} {name}"), figures })
+    Ok(CaseRow { case: format!("{task} {name}"), figures })
 }
 
 /// An iteration's line of metrics, and processor times when it was read.

@@ -5,13 +5,13 @@ use policy::{PolicySnapshot, Scratch};
 
 use crate::Effort;
 use crate::clock::typical;
-use crate::settings::{self, Settings};
-use crate::table::Row;
+use crate::settings::{self, CaseSettings};
+use crate::table::CaseRow;
 use crate::update::{CORES, TASKS};
 
 const STEPS: u32 = 2_000;
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let mut rows = Vec::new();
     for task in TASKS {
         for core in CORES {
@@ -22,8 +22,8 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn row(task: &str, core: &str, environments: usize, effort: Effort) -> anyhow::Result<Row> {
-    let settings = Settings::harl(task, &[settings::core(core)])?;
+fn row(task: &str, core: &str, environments: usize, effort: Effort) -> anyhow::Result<CaseRow> {
+    let settings = CaseSettings::harl(task, &[settings::core(core)])?;
     let problem = settings.problem()?;
     let algorithm = marl::build(&settings.training, &settings.policy, &problem, RunSeed(0))?;
     let mut slot = Slot::of(algorithm.snapshot()?, environments);
@@ -40,7 +40,7 @@ fn row(task: &str, core: &str, environments: usize, effort: Effort) -> anyhow::R
         ("with draws, µs", micros(acted.thread)),
         ("per agent and environment, µs", micros(acted.thread) / slot.rows()),
     ];
-    Ok(Row { case: format!("{task} {core}, {environments} environments"), figures })
+    Ok(CaseRow { case: format!("{task} {core}, {environments} environments"), figures })
 }
 
 /// The agents of a few environments, as in `rollout`.

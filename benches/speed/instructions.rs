@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail, ensure};
 use marl::{Algorithm, Batch, MarlError, Surprise};
 
 use crate::Effort;
-use crate::table::Row;
+use crate::table::CaseRow;
 use crate::update::{CORES, Case, TASKS, Updates};
 
 /// The option with which this program starts itself under valgrind; the case follows.
@@ -25,13 +25,13 @@ const SHORT: [&str; 5] = [
 /// The line of callgrind's output with the count.
 const COUNT: &str = "Collected :";
 
-pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let mut rows = Vec::new();
     for task in TASKS {
         for core in CORES {
             let case = format!("{task} {core}");
             let figures = vec![("instructions, millions", counted(&case)? / 1e6)];
-            rows.push(Row { case, figures });
+            rows.push(CaseRow { case, figures });
         }
     }
     Ok(rows)

@@ -43,9 +43,9 @@ type End = (Instant, f64);
 
 /// Collects iterations; the first one only starts the measurement.
 #[derive(Clone, Default)]
-pub(crate) struct Log(Arc<Mutex<Vec<(End, Iteration)>>>);
+pub(crate) struct IterationLog(Arc<Mutex<Vec<(End, Iteration)>>>);
 
-impl Log {
+impl IterationLog {
     /// The observer of the trainer's events.
     pub(crate) fn observer(&self) -> learner::train::trainer::Observer {
         let log = Arc::clone(&self.0);

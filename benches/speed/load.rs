@@ -25,8 +25,8 @@ use crate::Effort;
 use crate::clock::median;
 use crate::end_to_end::{COLD, Watched, watch};
 use crate::run_in_process::{registration, roll_out};
-use crate::settings::{Settings, program};
-use crate::table::Row;
+use crate::settings::{CaseSettings, program};
+use crate::table::CaseRow;
 
 const SLOTS: usize = 256;
 const STEPS: usize = 200;
@@ -57,11 +57,11 @@ struct Recording {
     bytes: usize,
 }
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     effort.actors.iter().map(|&actors| row(actors, effort)).collect()
 }
 
-fn row(actors: usize, effort: Effort) -> anyhow::Result<Row> {
+fn row(actors: usize, effort: Effort) -> anyhow::Result<CaseRow> {
     let folder = tempfile::tempdir()?;
     let dir = format!("run.dir={}", folder.path().join("run").display());
     let length = format!("run.iterations={}", COLD + effort.iterations.min(3));
@@ -71,7 +71,7 @@ fn row(actors: usize, effort: Effort) -> anyhow::Result<Row> {
         .stderr(Stdio::null())
         .spawn()?;
     let url = address(&mut learner)?;
-    let settings = Settings::of(&own)?;
+    let settings = CaseSettings::of(&own)?;
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
     let recording = Arc::new(OnceCell::new());
@@ -84,7 +84,7 @@ fn row(actors: usize, effort: Effort) -> anyhow::Result<Row> {
     }
     let watched = watch(learner, &folder.path().join("run/metrics.jsonl"))?;
     let bytes = recording.get().map_or(0, |recording: &Recording| recording.bytes) * SLOTS;
-    Ok(Row { case: format!("{actors} actors"), figures: figures(&watched, bytes as f64) })
+    Ok(CaseRow { case: format!("{actors} actors"), figures: figures(&watched, bytes as f64) })
 }
 
 fn figures(watched: &Watched, bytes: f64) -> Vec<(&'static str, f64)> {
@@ -135,7 +135,7 @@ impl Actor {
     /// Sends results until the run is over.
     async fn work(
         &mut self,
-        settings: &Settings,
+        settings: &CaseSettings,
         recording: &OnceCell<Recording>,
     ) -> anyhow::Result<()> {
         loop {
@@ -191,7 +191,7 @@ async fn push(
 /// Rolls out one slot with the leased weights.
 async fn record(
     service: LearnerServiceClient<Channel>,
-    settings: &Settings,
+    settings: &CaseSettings,
     run: &RunDescription,
     lease: &Lease,
 ) -> anyhow::Result<Recording> {

@@ -24,7 +24,7 @@ mod wire;
 
 use anyhow::{bail, ensure};
 
-use crate::table::{Row, Section};
+use crate::table::{CaseRow, Section};
 
 // The allocator of the program, so that the figures are comparable.
 #[global_allocator]
@@ -45,7 +45,7 @@ const FULL: Effort = Effort { repeats: 5, iterations: 4, actors: &[1, 4, 16, 64,
 const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 
 /// Name of a section, description of its rows, and the function that measures them.
-type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<Row>>);
+type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<CaseRow>>);
 
 const SECTIONS: [Measurement; 13] = [
     ("products", "matrix products of single floats on one core", products::rows),

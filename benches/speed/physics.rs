@@ -1,25 +1,25 @@
 //! Environment steps of one robot on one core, resets included.
 
-use policy::randomness::{Draw, Key, Purpose, RunSeed, uniform};
+use policy::randomness::{Draw, DrawKey, Purpose, RunSeed, uniform};
 use sim::Outcome;
 
 use crate::Effort;
 use crate::clock::typical;
-use crate::settings::Settings;
-use crate::table::Row;
+use crate::settings::CaseSettings;
+use crate::table::CaseRow;
 
 const TASKS: [&str; 3] = ["halfcheetah-2x3", "walker2d-2x3", "ant-4x2"];
 const STEPS: usize = 2_000;
 const EPISODE_STEPS: u32 = 1_000;
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     TASKS.into_iter().map(|task| row(task, effort)).collect()
 }
 
-fn row(task: &str, effort: Effort) -> anyhow::Result<Row> {
-    let mut world = Settings::of(&[task])?.world(1)?;
+fn row(task: &str, effort: Effort) -> anyhow::Result<CaseRow> {
+    let mut world = CaseSettings::of(&[task])?.world(1)?;
     let width = world.description().agents.iter().map(|agent| agent.action.size).sum();
-    let key = Key::of(RunSeed(7), Draw::of(Purpose::Probe));
+    let key = DrawKey::of(RunSeed(7), Draw::of(Purpose::Probe));
     let mut rng = key.generator();
     let actions: Vec<f32> = (0..STEPS * width).map(|_| 2.0 * uniform(&mut rng) - 1.0).collect();
     let took = typical(effort.repeats, || {
@@ -37,5 +37,5 @@ fn row(task: &str, effort: Effort) -> anyhow::Result<Row> {
         ("env steps per processor s", steps / took.thread),
         ("env steps/s by the wall clock", steps / took.wall),
     ];
-    Ok(Row { case: task.to_owned(), figures })
+    Ok(CaseRow { case: task.to_owned(), figures })
 }

@@ -4,15 +4,15 @@ use marl::Problem;
 
 use crate::Effort;
 use crate::clock::typical;
-use crate::settings::Settings;
-use crate::table::Row;
+use crate::settings::CaseSettings;
+use crate::table::CaseRow;
 
 /// Sides `(m, k, n)` of products: a square one for the peak rate, and those of an update.
 const SIDES: [(usize, usize, usize); 4] =
     [(512, 512, 512), (2000, 128, 128), (2000, 64, 64), (200, 64, 192)];
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
-    let row = |(m, k, n)| Row {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
+    let row = |(m, k, n)| CaseRow {
         case: format!("{m} x {k} by {k} x {n}"),
         figures: vec![("GFLOP/s", rate((m, k, n), effort.repeats))],
     };
@@ -56,7 +56,7 @@ fn multiply((m, k, n): (usize, usize, usize), left: &[f32], right: &[f32], produ
 
 /// Floating-point operations of the matrix products of one update: `2 rows weights` for a forward pass, twice
 /// that for a backward pass, without the gradient of a network's inputs.
-pub(crate) fn flops(settings: &Settings, problem: &Problem, rows: usize) -> f64 {
+pub(crate) fn flops(settings: &CaseSettings, problem: &Problem, rows: usize) -> f64 {
     let (policy, training) = (&settings.policy, &settings.training);
     let (gru, influence) = (policy.hidden_size() > 0, &training.influence);
     let others: usize = problem.agents.iter().map(|agent| agent.action).sum();

@@ -20,8 +20,8 @@ use proto::{
 };
 
 use crate::clock::{once, process_secs};
-use crate::iteration::{Iteration, Log};
-use crate::settings::Settings;
+use crate::iteration::{Iteration, IterationLog};
+use crate::settings::CaseSettings;
 use crate::update::Updates;
 
 /// Rollout threads.
@@ -29,7 +29,7 @@ pub(crate) const ACTORS: usize = 2;
 
 /// Iterations by function calls: rollout of the slots, assembly of `D_k`, update.
 pub(crate) fn by_calls(
-    settings: &Settings,
+    settings: &CaseSettings,
     folder: &Path,
     iterations: usize,
 ) -> anyhow::Result<Vec<Iteration>> {
@@ -55,7 +55,7 @@ pub(crate) fn by_calls(
     Ok(found)
 }
 
-fn per_slot(settings: &Settings) -> usize {
+fn per_slot(settings: &CaseSettings) -> usize {
     settings.learner.environments.per_slot
 }
 
@@ -112,15 +112,15 @@ pub(crate) fn roll_out(
 
 /// Iterations of the real trainer, with actors in the same process.
 pub(crate) fn through_the_exchange(
-    settings: &Settings,
+    settings: &CaseSettings,
     folder: &Path,
     iterations: usize,
-) -> anyhow::Result<Log> {
+) -> anyhow::Result<IterationLog> {
     let launch = settings.launch(folder, iterations)?;
     let (trainer, description) = launch::prepare(launch)?;
     let (lease, audit) = (settings.learner.lease, settings.learner.audit);
     let exchange = Exchange::new(description, lease, audit, settings.decoder()?);
-    let log = Log::default();
+    let log = IterationLog::default();
     let outside = Outside {
         exchange: Arc::clone(&exchange),
         observer: log.observer(),
@@ -141,7 +141,7 @@ pub(crate) fn through_the_exchange(
 }
 
 /// Runs an actor on this thread.
-fn act(exchange: &Exchange, connection: ConnectionId, settings: &Settings) {
+fn act(exchange: &Exchange, connection: ConnectionId, settings: &CaseSettings) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
     let runtime = runtime.expect("a runtime without sockets can be built");
     let run = exchange.run().clone();

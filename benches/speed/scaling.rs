@@ -5,9 +5,9 @@ use marl::{Batch, Problem};
 
 use crate::Effort;
 use crate::clock::{Took, median};
-use crate::settings::Settings;
+use crate::settings::CaseSettings;
 use crate::synthetic;
-use crate::table::Row;
+use crate::table::CaseRow;
 use crate::update::Updates;
 
 const FEATURES: usize = 24;
@@ -24,16 +24,16 @@ struct Size {
 
 const USUAL: Size = Size { agents: 4, environments: 20, hidden: 64 };
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let agents = [2, 4, 8, 16].map(|agents| Size { agents, ..USUAL });
     let environments = [10, 40, 80].map(|environments| Size { environments, ..USUAL });
     let hidden = [32, 128, 256].map(|hidden| Size { hidden, ..USUAL });
     agents.into_iter().chain(environments).chain(hidden).map(|size| row(size, effort)).collect()
 }
 
-fn row(size: Size, effort: Effort) -> anyhow::Result<Row> {
+fn row(size: Size, effort: Effort) -> anyhow::Result<CaseRow> {
     let Size { agents, environments, hidden } = size;
-    let mut settings = Settings::of(&["halfcheetah-2x3"])?;
+    let mut settings = CaseSettings::of(&["halfcheetah-2x3"])?;
     (settings.policy.encoder, settings.policy.hidden) = (hidden, hidden);
     let problem = synthetic::problem(agents, FEATURES, JOINTS);
     let batch = synthetic::batch(&problem, &settings.policy, (STEPS, environments));
@@ -45,12 +45,12 @@ fn row(size: Size, effort: Effort) -> anyhow::Result<Row> {
         ("per agent and env step, processor µs", processor / rows * 1e6),
     ];
     let case = format!("{agents} agents, {environments} environments, GRU of {hidden}");
-    Ok(Row { case, figures })
+    Ok(CaseRow { case, figures })
 }
 
 /// Medians of wall and processor time of an update on two threads.
 pub(crate) fn update_secs(
-    settings: &Settings,
+    settings: &CaseSettings,
     problem: &Problem,
     batch: &Batch,
     effort: Effort,

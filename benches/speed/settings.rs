@@ -14,11 +14,11 @@ use toml::{Table, Value};
 
 /// The crates' settings of one run.
 #[derive(Clone)]
-pub(crate) struct Settings {
+pub(crate) struct CaseSettings {
     pub(crate) task: sim::TaskConfig,
     pub(crate) policy: policy::PolicyConfig,
-    pub(crate) training: marl::Config,
-    pub(crate) learner: learner::config::Config,
+    pub(crate) training: marl::TrainingConfig,
+    pub(crate) learner: learner::config::LearnerConfig,
 }
 
 /// Path of the program, built with the same profile.
@@ -37,7 +37,7 @@ pub(crate) fn core(name: &str) -> &'static [&'static str] {
     }
 }
 
-impl Settings {
+impl CaseSettings {
     /// The settings of HARL's preset for a task, with changes.
     pub(crate) fn harl(task: &str, changes: &[&[&str]]) -> anyhow::Result<Self> {
         Self::of(&[&[task, "preset=harl"], changes.concat().as_slice()].concat())

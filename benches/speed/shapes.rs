@@ -4,12 +4,12 @@ use anyhow::ensure;
 
 use crate::Effort;
 use crate::end_to_end;
-use crate::settings::Settings;
-use crate::table::Row;
+use crate::settings::CaseSettings;
+use crate::table::CaseRow;
 use crate::update::{Case, TASKS, cases};
 
 /// Shapes needed to time the update of another program.
-pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     runs_are_as_their_tables_say()?;
     let row = |case: Case| {
         let (agent, training) = (&case.problem.agents[0], &case.settings.training);
@@ -31,7 +31,7 @@ pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<Row>> {
             ("critic minibatches", whole(training.critic.minibatches)),
             ("posterior epochs", whole(training.influence.epochs)),
         ];
-        Row { case: case.name, figures }
+        CaseRow { case: case.name, figures }
     };
     Ok(cases()?.into_iter().map(row).collect())
 }
@@ -43,13 +43,13 @@ fn runs_are_as_their_tables_say() -> anyhow::Result<()> {
     }
     for task in TASKS {
         for (name, changes) in end_to_end::runs() {
-            check(&format!("{task} {name}"), &Settings::harl(task, &[&changes])?)?;
+            check(&format!("{task} {name}"), &CaseSettings::harl(task, &[&changes])?)?;
         }
     }
     Ok(())
 }
 
-fn check(case: &str, settings: &Settings) -> anyhow::Result<()> {
+fn check(case: &str, settings: &CaseSettings) -> anyhow::Result<()> {
     let (policy, update) = (&settings.policy, &settings.training.update);
     let epochs = if case.starts_with("halfcheetah") { 15 } else { 5 };
     let minibatches = if case.starts_with("walker2d") { 2 } else { 1 };

@@ -8,12 +8,12 @@ use crate::Effort;
 use crate::clock::typical;
 use crate::run_in_process::roll_out;
 use crate::scaling::update_secs;
-use crate::settings::Settings;
+use crate::settings::CaseSettings;
 use crate::synthetic;
-use crate::table::Row;
+use crate::table::CaseRow;
 use crate::update::{TASKS, Updates};
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let mut rows = Vec::new();
     for task in TASKS {
         for preset in ["tuned", "harl"] {
@@ -23,8 +23,8 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<Row> {
-    let settings = Settings::of(&[task, &format!("preset={preset}")])?;
+fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<CaseRow> {
+    let settings = CaseSettings::of(&[task, &format!("preset={preset}")])?;
     let environments = &settings.learner.environments;
     let (steps, per_slot) = (environments.steps, environments.per_slot);
     let problem = settings.problem()?;
@@ -39,11 +39,11 @@ fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<Row> {
         ("update on 2 threads, s", wall),
         ("actor cores for one learner core", total / rate / learner),
     ];
-    Ok(Row { case: format!("{task} {preset}"), figures })
+    Ok(CaseRow { case: format!("{task} {preset}"), figures })
 }
 
 /// Time of one actor for one slot, seconds.
-fn slot_secs(settings: &Settings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
+fn slot_secs(settings: &CaseSettings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
     let config = &settings.learner.environments;

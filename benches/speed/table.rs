@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 
 /// One case and its figures; all rows of a section have the same names, units included.
-pub(crate) struct Row {
+pub(crate) struct CaseRow {
     /// Name of the case.
     pub(crate) case: String,
     /// Names with units, and values; NaN if unavailable on this machine.
@@ -17,7 +17,7 @@ pub(crate) struct Section {
     /// Description of the rows.
     pub(crate) caption: &'static str,
     /// The rows, at least one.
-    pub(crate) rows: Vec<Row>,
+    pub(crate) rows: Vec<CaseRow>,
 }
 
 impl Section {
@@ -37,7 +37,7 @@ impl Section {
 
 /// `{section: {case: {name: value}}}`.
 pub(crate) fn to_json(sections: &[Section]) -> Value {
-    let row = |row: &Row| {
+    let row = |row: &CaseRow| {
         let figures = row.figures.iter().map(|(name, value)| ((*name).to_owned(), json!(value)));
         (row.case.clone(), Value::Object(figures.collect()))
     };

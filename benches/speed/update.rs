@@ -14,8 +14,8 @@ use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::clock::{Took, median, once, thread_secs};
-use crate::settings::{self, Settings};
-use crate::table::Row;
+use crate::settings::{self, CaseSettings};
+use crate::table::CaseRow;
 use crate::{Effort, synthetic};
 
 /// Tasks whose updates differ most.
@@ -28,7 +28,7 @@ const PHASES: [&str; 6] = ["values", "advantages", "behaviour", "posteriors", "p
 /// One task with one core.
 pub(crate) struct Case {
     pub(crate) name: String,
-    pub(crate) settings: Settings,
+    pub(crate) settings: CaseSettings,
     pub(crate) problem: Problem,
 }
 
@@ -47,7 +47,7 @@ pub(crate) fn cases() -> anyhow::Result<Vec<Case>> {
 
 impl Case {
     pub(crate) fn of(task: &str, core: &str, name: &str, changes: &[&str]) -> anyhow::Result<Self> {
-        let settings = Settings::harl(task, &[settings::core(core), changes])?;
+        let settings = CaseSettings::harl(task, &[settings::core(core), changes])?;
         let problem = settings.problem()?;
         Ok(Self { name: format!("{task} {name}"), settings, problem })
     }
@@ -64,11 +64,11 @@ impl Case {
     }
 }
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     cases()?.iter().map(|case| row(case, effort)).collect()
 }
 
-fn row(case: &Case, effort: Effort) -> anyhow::Result<Row> {
+fn row(case: &Case, effort: Effort) -> anyhow::Result<CaseRow> {
     let batch = case.batch();
     let mut one = Updates::new(&case.settings, &case.problem, 1)?;
     let mut two = Updates::new(&case.settings, &case.problem, 2)?;
@@ -92,7 +92,7 @@ fn row(case: &Case, effort: Effort) -> anyhow::Result<Row> {
     for (phase, name) in names.into_iter().enumerate() {
         figures.push((name, median(single.iter().map(|parts| parts.phases[phase]))));
     }
-    Ok(Row { case: case.name.clone(), figures })
+    Ok(CaseRow { case: case.name.clone(), figures })
 }
 
 /// A learning rule and its densities in a thread pool.
@@ -115,7 +115,7 @@ pub(crate) struct Parts {
 
 impl Updates {
     pub(crate) fn new(
-        settings: &Settings,
+        settings: &CaseSettings,
         problem: &Problem,
         threads: usize,
     ) -> anyhow::Result<Self> {

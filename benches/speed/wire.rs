@@ -13,14 +13,14 @@ use tokio::sync::watch;
 
 use crate::Effort;
 use crate::end_to_end::COLD;
-use crate::iteration::{Iteration, Log, typical};
+use crate::iteration::{Iteration, IterationLog, typical};
 use crate::run_in_process::{ACTORS, by_calls, roll_out, through_the_exchange};
-use crate::settings::{self, Settings, program};
-use crate::table::Row;
+use crate::settings::{self, CaseSettings, program};
+use crate::table::CaseRow;
 use crate::update::{CORES, TASKS, Updates};
 
-pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
-    let settings = Settings::of(&["halfcheetah-6x1"])?;
+pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
+    let settings = CaseSettings::of(&["halfcheetah-6x1"])?;
     let length = COLD + effort.iterations;
     let (mut calls, mut exchange, mut grpc) = (Vec::new(), Vec::new(), Vec::new());
     // Interleaved, so that other work on the machine affects all of them equally.
@@ -45,7 +45,7 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
             ("iteration against the exchange, %", 100.0 * (whole / baseline.whole - 1.0)),
             ("processor s likewise, %", 100.0 * (processor / baseline.processor - 1.0)),
         ];
-        Row { case: case.to_owned(), figures }
+        CaseRow { case: case.to_owned(), figures }
     };
     Ok(vec![
         row("plain calls", &calls),
@@ -55,7 +55,11 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<Row>> {
 }
 
 /// Iterations of the real trainer, with actor processes.
-fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::Result<Log> {
+fn over_grpc(
+    settings: &CaseSettings,
+    folder: &Path,
+    iterations: usize,
+) -> anyhow::Result<IterationLog> {
     let launch = settings.launch(folder, iterations)?;
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
@@ -64,7 +68,7 @@ fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::R
         let url = format!("http://{}", listener.local_addr()?);
         let start = |_| Ok(program(&["actor", "--learner", &url]).stderr(Stdio::null()).spawn()?);
         let actors: Vec<Child> = (0..ACTORS).map(start).collect::<anyhow::Result<_>>()?;
-        let (log, (_stop, never)) = (Log::default(), watch::channel(false));
+        let (log, (_stop, never)) = (IterationLog::default(), watch::channel(false));
         learner::run::run(launch, listener, None, log.observer(), never).await?;
         for mut actor in actors {
             actor.wait()?;
@@ -74,19 +78,19 @@ fn over_grpc(settings: &Settings, folder: &Path, iterations: usize) -> anyhow::R
 }
 
 /// Bytes of the messages, without HTTP/2 frames.
-pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<Row>> {
+pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let mut rows = Vec::new();
     for task in TASKS {
         for core in CORES {
-            let settings = Settings::harl(task, &[settings::core(core)])?;
+            let settings = CaseSettings::harl(task, &[settings::core(core)])?;
             rows.push(traffic_row(format!("{task} {core}"), &settings)?);
         }
-        rows.push(traffic_row(format!("{task}, default preset"), &Settings::of(&[task])?)?);
+        rows.push(traffic_row(format!("{task}, default preset"), &CaseSettings::of(&[task])?)?);
     }
     Ok(rows)
 }
 
-fn traffic_row(case: String, settings: &Settings) -> anyhow::Result<Row> {
+fn traffic_row(case: String, settings: &CaseSettings) -> anyhow::Result<CaseRow> {
     let (slot, snapshot) = recorded(settings)?;
     let environments = &settings.learner.environments;
     let steps = (environments.per_slot * environments.steps) as f64;
@@ -95,7 +99,7 @@ fn traffic_row(case: String, settings: &Settings) -> anyhow::Result<Row> {
         ("bytes per env step", slot.bytes as f64 / steps),
         ("weights, bytes", snapshot.to_bytes()?.len() as f64),
     ];
-    Ok(Row { case, figures })
+    Ok(CaseRow { case, figures })
 }
 
 /// The messages of a slot.
@@ -103,7 +107,7 @@ struct Slot {
     bytes: usize,
 }
 
-fn recorded(settings: &Settings) -> anyhow::Result<(Slot, PolicySnapshot)> {
+fn recorded(settings: &CaseSettings) -> anyhow::Result<(Slot, PolicySnapshot)> {
     let folder = tempfile::tempdir()?;
     let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
     let snapshot = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;

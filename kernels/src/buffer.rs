@@ -20,12 +20,12 @@ pub(crate) fn stride(width: usize) -> usize {
 
 /// Rows of `width` values. Each row starts a new line and is padded with 0.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Rows {
+pub(crate) struct PaddedRows {
     lines: Vec<Line>,
     width: usize,
 }
 
-impl Rows {
+impl PaddedRows {
     /// Resizes to `rows` rows of `width` values. The contents are then unspecified.
     pub(crate) fn resize(&mut self, rows: usize, width: usize) {
         self.width = width;

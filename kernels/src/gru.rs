@@ -1,9 +1,9 @@
 //! A gated recurrent unit over the steps of several sequences.
 
-use crate::buffer::{Rows, padded, stride};
-use crate::linear::{Weights, add_rows, slope_of_tanh};
+use crate::buffer::{PaddedRows, padded, stride};
+use crate::linear::{LinearWeights, add_rows, slope_of_tanh};
 use crate::math::{sigmoid_of, tanh_of};
-use crate::product::Start;
+use crate::product::InitialSum;
 use crate::simd::{Line, Simd};
 
 /// Gates r, z, n.
@@ -14,8 +14,8 @@ const GATES: usize = 3;
 pub(crate) struct Gru {
     inputs: usize,
     hidden: usize,
-    input: [Weights; GATES],
-    recurrent: [Weights; GATES],
+    input: [LinearWeights; GATES],
+    recurrent: [LinearWeights; GATES],
     /// For r and z the sum of both biases, for n that of the input.
     input_bias: [Vec<Line>; GATES],
     /// Bias of n's recurrent part.
@@ -26,16 +26,16 @@ pub(crate) struct Gru {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trace {
     /// r, z, n, and `W_hn h' + b_hn`. The backward pass overwrites them with the gradients of their pre-activations.
-    gates: [Rows; GATES + 1],
+    gates: [PaddedRows; GATES + 1],
     /// `h'` of every step.
-    before: Rows,
+    before: PaddedRows,
     /// The initial state, `[B, H]`. In the backward pass, its gradient.
-    state: Rows,
+    state: PaddedRows,
 }
 
 /// How rows form sequences: `T` steps of `B` sequences, rows `t * B + b`.
 #[derive(Clone, Copy, Debug)]
-pub struct Sequences<'a> {
+pub struct SequenceLayout<'a> {
     /// The recurrent state before the first step, `[B, H]`.
     pub start: &'a [f32],
     /// 0 where the state is reset before the step, else 1, `[T, B]`.
@@ -44,7 +44,7 @@ pub struct Sequences<'a> {
     pub count: usize,
 }
 
-impl Sequences<'_> {
+impl SequenceLayout<'_> {
     pub(crate) fn steps(&self) -> usize {
         self.mask.len() / self.count.max(1)
     }
@@ -57,7 +57,7 @@ impl Gru {
         let (input_bias, rest) = rest.split_at(GATES * hidden);
         let (recurrent, recurrent_bias) = rest.split_at(GATES * hidden * hidden);
         let gate = |of: &[f32], width: usize, gate: usize| {
-            Weights::new(&of[gate * hidden * width..][..hidden * width], width, hidden)
+            LinearWeights::new(&of[gate * hidden * width..][..hidden * width], width, hidden)
         };
         let bias = |gate: usize| {
             let own = &input_bias[gate * hidden..][..hidden];
@@ -83,19 +83,19 @@ impl Gru {
     pub(crate) fn forward<S: Simd>(
         &self,
         simd: S,
-        x: &Rows,
-        sequences: Sequences<'_>,
-        states: &mut Rows,
+        x: &PaddedRows,
+        sequences: SequenceLayout<'_>,
+        states: &mut PaddedRows,
         trace: &mut Trace,
     ) {
-        let Sequences { start, mask, count } = sequences;
+        let SequenceLayout { start, mask, count } = sequences;
         let rows = sequences.steps() * count;
         trace.before.resize(rows, self.hidden);
         trace.state.resize(count, self.hidden);
         trace.state.fill(0, start);
         trace.gates.iter_mut().for_each(|gate| gate.resize(rows, self.hidden));
         for (gate, weights) in self.input.iter().enumerate() {
-            let start = Start::Bias(&self.input_bias[gate]);
+            let start = InitialSum::Bias(&self.input_bias[gate]);
             let into = trace.gates[gate].range_mut(0, rows);
             simd.outlined(&weights.forward(x.range(0, rows), into, rows, start));
         }
@@ -110,8 +110,8 @@ impl Gru {
             let before = trace.before.range(from, to);
             for (gate, weights) in self.recurrent.iter().enumerate() {
                 let (place, start) = match gate {
-                    2 => (3, Start::Bias(&self.candidate_bias)),
-                    _ => (gate, Start::Result),
+                    2 => (3, InitialSum::Bias(&self.candidate_bias)),
+                    _ => (gate, InitialSum::Result),
                 };
                 let into = trace.gates[place].range_mut(from, to);
                 simd.outlined(&weights.forward(before, into, count, start));
@@ -127,11 +127,11 @@ impl Gru {
     pub(crate) fn backward<S: Simd>(
         &self,
         simd: S,
-        sequences: Sequences<'_>,
-        g: &Rows,
+        sequences: SequenceLayout<'_>,
+        g: &PaddedRows,
         trace: &mut Trace,
     ) {
-        let Sequences { mask, count, .. } = sequences;
+        let SequenceLayout { mask, count, .. } = sequences;
         trace.state.range_mut(0, count).fill(Line::default());
         for step in (0..sequences.steps()).rev() {
             let (from, to) = (step * count, (step + 1) * count);
@@ -142,7 +142,7 @@ impl Gru {
                 let place = if gate == 2 { 3 } else { gate };
                 let d = trace.gates[place].range(from, to);
                 let later = trace.state.range_mut(0, count);
-                simd.outlined(&weights.backward(d, later, count, Start::Result));
+                simd.outlined(&weights.backward(d, later, count, InitialSum::Result));
             }
             let later = trace.state.range_mut(0, count);
             reset(simd, later, &mask[from..to], stride(self.hidden));
@@ -156,11 +156,11 @@ impl Gru {
         simd: S,
         rows: usize,
         trace: &Trace,
-        dx: &mut Rows,
+        dx: &mut PaddedRows,
     ) {
         dx.resize(rows, self.inputs);
         for (gate, weights) in self.input.iter().enumerate() {
-            let start = if gate == 0 { Start::Zero } else { Start::Result };
+            let start = if gate == 0 { InitialSum::Zero } else { InitialSum::Result };
             let d = trace.gates[gate].range(0, rows);
             simd.outlined(&weights.backward(d, dx.range_mut(0, rows), rows, start));
         }
@@ -171,7 +171,7 @@ impl Gru {
     pub(crate) fn add_gradient<S: Simd>(
         &self,
         simd: S,
-        x: &Rows,
+        x: &PaddedRows,
         rows: usize,
         trace: &Trace,
         parameters: &mut [f32],

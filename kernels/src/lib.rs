@@ -28,7 +28,7 @@ mod workspace;
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
-pub use gru::Sequences;
+pub use gru::SequenceLayout;
 pub use math::{sigmoid, tanh};
 pub use network::{Activation, Layer, Network};
 pub use packed::{Input, Packed};

@@ -3,12 +3,12 @@
 use crate::buffer::{groups, numbers, padded, stride, unpadded};
 use crate::math::tanh_of;
 use crate::network::Activation;
-use crate::product::{Left, Product, Right, Start};
+use crate::product::{InitialSum, Left, Product, Right};
 use crate::simd::{LANES, Line, Simd};
 
 /// Weights in the order in which the kernel reads them.
 #[derive(Clone, Debug)]
-pub(crate) struct Weights {
+pub(crate) struct LinearWeights {
     pub(crate) inputs: usize,
     pub(crate) outputs: usize,
     /// `[groups of outputs][inputs]`, for `x W^T`.
@@ -17,7 +17,7 @@ pub(crate) struct Weights {
     backward: Vec<Line>,
 }
 
-impl Weights {
+impl LinearWeights {
     /// From `[outputs, inputs]`.
     pub(crate) fn new(weight: &[f32], inputs: usize, outputs: usize) -> Self {
         assert_eq!(weight.len(), inputs * outputs, "weights of {inputs} to {outputs}");
@@ -42,7 +42,7 @@ impl Weights {
         x: &'a [Line],
         y: &'a mut [Line],
         rows: usize,
-        start: Start<'a>,
+        start: InitialSum<'a>,
     ) -> Product<'a> {
         let left = Left::rows(numbers(x), stride(self.inputs) * LANES, rows, self.inputs);
         let right = Right::packed(&self.forward, self.inputs);
@@ -56,7 +56,7 @@ impl Weights {
         g: &'a [Line],
         dx: &'a mut [Line],
         rows: usize,
-        start: Start<'a>,
+        start: InitialSum<'a>,
     ) -> Product<'a> {
         let left = Left::rows(numbers(g), stride(self.outputs) * LANES, rows, self.outputs);
         let right = Right::packed(&self.backward, self.outputs);
@@ -74,7 +74,7 @@ impl Weights {
     ) -> Product<'a> {
         let left = Left::columns(numbers(g), stride(self.outputs) * LANES, rows, self.outputs);
         let right = Right::rows(x, stride(self.inputs));
-        Product::dense(left, right, gradient, self.inputs, Start::Result)
+        Product::dense(left, right, gradient, self.inputs, InitialSum::Result)
     }
 }
 
@@ -94,7 +94,7 @@ pub(crate) fn add_rows<S: Simd>(simd: S, rows: &[Line], sums: &mut [f32]) {
 /// A linear map with bias and activation.
 #[derive(Clone, Debug)]
 pub(crate) struct Linear {
-    weights: Weights,
+    weights: LinearWeights,
     bias: Vec<Line>,
     activation: Activation,
 }
@@ -108,13 +108,13 @@ impl Linear {
         activation: Activation,
     ) -> Self {
         let (weight, bias) = parameters.split_at(inputs * outputs);
-        let weights = Weights::new(weight, inputs, outputs);
+        let weights = LinearWeights::new(weight, inputs, outputs);
         Self { weights, bias: padded(bias), activation }
     }
 
     #[inline(always)]
     pub(crate) fn forward<S: Simd>(&self, simd: S, x: &[Line], y: &mut [Line], rows: usize) {
-        let product = self.weights.forward(x, y, rows, Start::Bias(&self.bias));
+        let product = self.weights.forward(x, y, rows, InitialSum::Bias(&self.bias));
         match self.activation {
             Activation::Identity => simd.outlined(&product),
             Activation::Relu => simd.outlined(&product.rectified()),
@@ -148,7 +148,7 @@ impl Linear {
             add_rows(simd, g, bias);
         }
         if let Some(dx) = dx {
-            simd.outlined(&self.weights.backward(g, dx, rows, Start::Zero));
+            simd.outlined(&self.weights.backward(g, dx, rows, InitialSum::Zero));
         }
     }
 

@@ -6,13 +6,13 @@ use crate::simd::{LANES, Line, Simd};
 
 /// Statistics of a row.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Moments {
+pub(crate) struct RowMoments {
     mean: f32,
     /// `1 / sqrt(var + epsilon)`.
     inverse_deviation: f32,
 }
 
-impl Moments {
+impl RowMoments {
     #[inline(always)]
     fn splat<S: Simd>(self, simd: S) -> (S::Vector, S::Vector) {
         (simd.splat(self.mean), simd.splat(self.inverse_deviation))
@@ -52,7 +52,7 @@ impl Norm {
     }
 
     #[inline(always)]
-    fn moments<S: Simd>(&self, simd: S, x: &[Line]) -> Moments {
+    fn moments<S: Simd>(&self, simd: S, x: &[Line]) -> RowMoments {
         let count = self.width as f32;
         let mut sums = simd.splat(0.0);
         for line in x {
@@ -65,7 +65,7 @@ impl Norm {
             squares = simd.fma(centred, centred, squares);
         }
         let variance = simd.sum(squares) / count;
-        Moments { mean, inverse_deviation: 1.0 / (variance + LAYER_NORM_EPSILON).sqrt() }
+        RowMoments { mean, inverse_deviation: 1.0 / (variance + LAYER_NORM_EPSILON).sqrt() }
     }
 
     #[inline(always)]
@@ -74,7 +74,7 @@ impl Norm {
         simd: S,
         x: &[Line],
         y: &mut [Line],
-        moments: &mut [Moments],
+        moments: &mut [RowMoments],
     ) {
         let (stride, groups) = (stride(self.width), groups(self.width));
         let rows = x.chunks_exact(stride).zip(y.chunks_exact_mut(stride));
@@ -97,7 +97,7 @@ impl Norm {
         simd: S,
         x: &[Line],
         g: &[Line],
-        moments: &[Moments],
+        moments: &[RowMoments],
         parameters: Option<&mut [f32]>,
         dx: Option<&mut [Line]>,
     ) {
@@ -119,7 +119,7 @@ impl Norm {
         simd: S,
         x: &[Line],
         g: &[Line],
-        moments: Moments,
+        moments: RowMoments,
         dx: &mut [Line],
     ) {
         let (mean, inverse) = moments.splat(simd);
@@ -151,7 +151,7 @@ impl Norm {
         simd: S,
         x: &[Line],
         g: &[Line],
-        moments: &[Moments],
+        moments: &[RowMoments],
         parameters: &mut [f32],
     ) {
         let stride = stride(self.width);

@@ -2,11 +2,11 @@
 
 use core::ops::Range;
 
-use crate::buffer::{Rows, stride};
-use crate::gru::{Gru, Sequences};
+use crate::buffer::{PaddedRows, stride};
+use crate::gru::{Gru, SequenceLayout};
 use crate::linear::Linear;
 use crate::network::{Layer, Network};
-use crate::norm::{Moments, Norm};
+use crate::norm::{Norm, RowMoments};
 use crate::simd::{Line, Operation, Simd};
 use crate::width;
 use crate::workspace::Workspace;
@@ -35,7 +35,7 @@ pub struct Input<'a> {
     /// `[rows, inputs]`
     pub rows: &'a [f32],
     /// Required by a network with a GRU, otherwise ignored.
-    pub sequences: Option<Sequences<'a>>,
+    pub sequences: Option<SequenceLayout<'a>>,
 }
 
 impl Packed {
@@ -74,14 +74,14 @@ impl Packed {
     pub fn forward(&self, input: Input<'_>, workspace: &mut Workspace) {
         let rows = self.check(input);
         workspace.rows = rows;
-        workspace.activations.resize_with(self.layers.len() + 1, Rows::default);
+        workspace.activations.resize_with(self.layers.len() + 1, PaddedRows::default);
         workspace.moments.resize_with(self.layers.len(), Vec::new);
         workspace.activations[0].resize(rows, self.network.inputs());
         workspace.activations[0].fill(0, input.rows);
         for (index, layer) in self.network.layers().iter().enumerate() {
             workspace.activations[index + 1].resize(rows, layer.outputs());
             if matches!(layer, Layer::Norm { .. }) {
-                workspace.moments[index].resize(rows, Moments::default());
+                workspace.moments[index].resize(rows, RowMoments::default());
             }
         }
         if rows > 0 {
@@ -114,7 +114,7 @@ impl Packed {
     pub fn backward(
         &self,
         output: &[f32],
-        sequences: Option<Sequences<'_>>,
+        sequences: Option<SequenceLayout<'_>>,
         workspace: &mut Workspace,
         parameters: Option<&mut [f32]>,
         input: Option<&mut Vec<f32>>,
@@ -146,7 +146,7 @@ impl Packed {
 
 struct Forward<'a> {
     packed: &'a Packed,
-    sequences: Option<Sequences<'a>>,
+    sequences: Option<SequenceLayout<'a>>,
     workspace: &'a mut Workspace,
 }
 
@@ -196,7 +196,7 @@ fn forward_block<S: Simd>(
 
 struct Backward<'a> {
     packed: &'a Packed,
-    sequences: Option<Sequences<'a>>,
+    sequences: Option<SequenceLayout<'a>>,
     workspace: &'a mut Workspace,
     parameters: Option<&'a mut [f32]>,
     /// Whether the gradient of the network's input is computed.
@@ -221,7 +221,7 @@ impl Operation for Backward<'_> {
 
 impl Backward<'_> {
     #[inline(always)]
-    fn gru<S: Simd>(&mut self, simd: S, gru: &Gru, index: usize, sequences: Sequences<'_>) {
+    fn gru<S: Simd>(&mut self, simd: S, gru: &Gru, index: usize, sequences: SequenceLayout<'_>) {
         let Workspace { rows, activations, trace, gradients: [g, dx], .. } = &mut *self.workspace;
         gru.backward(simd, sequences, g, trace);
         if let Some(parameters) = self.parameters.as_deref_mut() {

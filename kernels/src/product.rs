@@ -56,7 +56,7 @@ impl<'a> Right<'a> {
 
 /// Initial value of the chains of multiply-adds.
 #[derive(Clone, Copy)]
-pub(crate) enum Start<'a> {
+pub(crate) enum InitialSum<'a> {
     Zero,
     /// One line per group of columns.
     Bias(&'a [Line]),
@@ -68,7 +68,7 @@ pub(crate) enum Start<'a> {
 pub(crate) struct Product<'a> {
     left: Left<'a>,
     right: Right<'a>,
-    start: Start<'a>,
+    start: InitialSum<'a>,
     relu: bool,
     columns: usize,
     result: *mut f32,
@@ -85,7 +85,7 @@ impl<'a> Product<'a> {
         right: Right<'a>,
         result: &'a mut [Line],
         columns: usize,
-        start: Start<'a>,
+        start: InitialSum<'a>,
     ) -> Self {
         let stride = stride(columns);
         assert!(left.rows * stride <= result.len(), "a result of {} rows", left.rows);
@@ -99,7 +99,7 @@ impl<'a> Product<'a> {
         right: Right<'a>,
         result: &'a mut [f32],
         columns: usize,
-        start: Start<'a>,
+        start: InitialSum<'a>,
     ) -> Self {
         assert_eq!(result.len(), left.rows * columns, "a result of {} rows", left.rows);
         Self::new(left, right, result.as_mut_ptr(), columns, columns, start)
@@ -111,12 +111,12 @@ impl<'a> Product<'a> {
         result: *mut f32,
         stride: usize,
         columns: usize,
-        start: Start<'a>,
+        start: InitialSum<'a>,
     ) -> Self {
         let groups = columns.div_ceil(LANES);
         let last = (groups.max(1) - 1) * right.group + (left.depth - 1) * right.row;
         assert!(columns > 0 && last < right.lines.len(), "columns or rows beyond the right side");
-        if let Start::Bias(bias) = start {
+        if let InitialSum::Bias(bias) = start {
             assert!(groups <= bias.len(), "a bias of {} lines for {groups} groups", bias.len());
         }
         let (relu, padded, borrowed) = (false, false, PhantomData);
@@ -213,10 +213,12 @@ unsafe fn tile<S: Simd, const M: usize, const N: usize>(
         for (m, sums) in sums.iter_mut().enumerate() {
             for (n, sum) in sums.iter_mut().enumerate() {
                 *sum = match product.start {
-                    Start::Zero => *sum,
-                    Start::Bias(bias) => simd.load(bias.get_unchecked(group + n)),
-                    Start::Result if whole => simd.load_pointer(result.add(m * stride + n * LANES)),
-                    Start::Result => load_part(simd, result.add(m * stride), width),
+                    InitialSum::Zero => *sum,
+                    InitialSum::Bias(bias) => simd.load(bias.get_unchecked(group + n)),
+                    InitialSum::Result if whole => {
+                        simd.load_pointer(result.add(m * stride + n * LANES))
+                    }
+                    InitialSum::Result => load_part(simd, result.add(m * stride), width),
                 };
             }
         }

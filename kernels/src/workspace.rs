@@ -1,8 +1,8 @@
 //! Buffers of a forward and backward pass, reused between steps to avoid allocation.
 
-use crate::buffer::Rows;
+use crate::buffer::PaddedRows;
 use crate::gru::Trace;
-use crate::norm::Moments;
+use crate::norm::RowMoments;
 use crate::simd::Line;
 
 /// Buffers of one forward pass and its backward pass.
@@ -10,12 +10,12 @@ use crate::simd::Line;
 pub struct Workspace {
     pub(crate) rows: usize,
     /// The input and every layer's result.
-    pub(crate) activations: Vec<Rows>,
+    pub(crate) activations: Vec<PaddedRows>,
     /// Statistics of every layer norm's rows.
-    pub(crate) moments: Vec<Vec<Moments>>,
+    pub(crate) moments: Vec<Vec<RowMoments>>,
     pub(crate) trace: Trace,
     /// Gradient of a segment's result and of its input, all rows.
-    pub(crate) gradients: [Rows; 2],
+    pub(crate) gradients: [PaddedRows; 2],
     /// The same for one layer and one block of rows.
     pub(crate) blocks: [Vec<Line>; 2],
 }

@@ -1,6 +1,8 @@
 //! Results have the same bits at every register width and in every batch.
 
-use kernels::{Activation, Input, Layer, Network, Packed, Sequences, Width, Workspace, select};
+use kernels::{
+    Activation, Input, Layer, Network, Packed, SequenceLayout, Width, Workspace, select,
+};
 
 /// Pseudo-random numbers in `(-1, 1)`.
 fn numbers(count: usize, seed: u64) -> Vec<f32> {
@@ -49,7 +51,7 @@ fn pass(network: &Network, rows: usize, sequences: usize) -> Vec<u32> {
     let start = numbers(sequences * network.gru().map_or(0, |(_, hidden)| hidden), 3);
     let mask: Vec<f32> = (0..rows).map(|row| f32::from(u8::from(row % 7 != 3))).collect();
     let sequences =
-        network.gru().map(|_| Sequences { start: &start, mask: &mask, count: sequences });
+        network.gru().map(|_| SequenceLayout { start: &start, mask: &mask, count: sequences });
     let mut workspace = Workspace::default();
     packed.forward(Input { rows: &input, sequences }, &mut workspace);
     let mut all = Vec::new();
@@ -125,7 +127,7 @@ fn the_states_of_a_pass_are_the_last_states_of_passes_that_end_after_each_step()
     let (layer, _) = network.gru().unwrap();
     let mut workspace = Workspace::default();
     let mut forward = |until: usize| {
-        let sequences = Some(Sequences { start: &start, mask: &mask[..until], count });
+        let sequences = Some(SequenceLayout { start: &start, mask: &mask[..until], count });
         packed.forward(Input { rows: &input[..until * 5], sequences }, &mut workspace);
         let (mut all, mut last) = (Vec::new(), Vec::new());
         workspace.append_states(layer, &mut all);

@@ -15,7 +15,7 @@ const MOST_PER_SLOT: usize = 10;
 
 /// The learner's settings besides the algorithm, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Config {
+pub struct LearnerConfig {
     /// How many environments, and how they are cut into slots.
     pub environments: EnvironmentsConfig,
     /// How long an actor may be silent.
@@ -120,7 +120,7 @@ pub struct ThreadsConfig {
     pub other_builds: bool,
 }
 
-impl Config {
+impl LearnerConfig {
     /// Refuses values outside their ranges.
     ///
     /// # Errors

@@ -8,7 +8,7 @@ use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescripti
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 
-use crate::config::Config;
+use crate::config::LearnerConfig;
 use crate::error::LearnerError;
 use crate::lease::end_states::StateReader;
 use crate::lease::sample::random_number;
@@ -26,9 +26,9 @@ use crate::train::trainer::{Trainer, policy_bytes};
 #[derive(Clone, Debug)]
 pub struct Launch {
     /// Environments, leases, evaluation, checkpoints, threads.
-    pub config: Config,
+    pub config: LearnerConfig,
     /// The learning rule.
-    pub training: marl::Config,
+    pub training: marl::TrainingConfig,
     /// How the learner scales observations.
     pub observations: ObservationScale,
     /// The actor networks.

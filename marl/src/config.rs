@@ -15,7 +15,7 @@ use crate::optimisation::learning_rate::LearningRateDecay;
 
 /// All settings of a learning rule, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Config {
+pub struct TrainingConfig {
     /// The policy update.
     pub update: UpdateConfig,
     /// The value function.
@@ -135,7 +135,7 @@ pub enum StateNorm {
     Running,
 }
 
-impl Config {
+impl TrainingConfig {
     /// Rejects values outside their ranges. How values fit together is the caller's to check.
     ///
     /// # Errors

@@ -24,7 +24,7 @@ use crate::critic::recurrent::{Memory, SequenceStart, Unrolled};
 pub(crate) use crate::critic::state_scale::StateScale;
 use crate::critic::value_normalizer::ValueNormalizer;
 use crate::data::batch::Batch;
-use crate::data::sequence::Layout;
+use crate::data::sequence::ChunkLayout;
 use crate::error::MarlError;
 use crate::objective::advantage::next_values;
 use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
@@ -64,7 +64,7 @@ pub(crate) struct Values {
     /// Value of every row's true next state, `[V][T, B]`; 0 after a termination.
     pub next: Vec<Vec<f64>>,
     /// Sequences on which the critic is fitted: chunks of truncated back-propagation, or single rows without memory.
-    pub layout: Layout,
+    pub layout: ChunkLayout,
     /// `None` without memory.
     pub unrolled: Option<Unrolled>,
 }
@@ -177,7 +177,7 @@ impl Critic {
         assert_shape("final states", finals.len(), batch.finals.len() * self.inputs);
         let (layout, normalized, finals, unrolled) = match &self.memory {
             None => (
-                Layout::of(batch, 1),
+                ChunkLayout::of(batch, 1),
                 self.forward_all(&batch.state)?,
                 self.forward_all(&finals)?,
                 None,

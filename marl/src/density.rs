@@ -113,7 +113,7 @@ pub(crate) fn build(
     let moments = Moments::new(signal.to_vec());
     Ok(match kind {
         DensityKind::DiagonalGaussian => Box::new(diagonal_gaussian::DiagonalGaussian(moments)),
-        DensityKind::Categorical => Box::new(categorical::Categorical::new(moments)),
+        DensityKind::Categorical => Box::new(categorical::CategoricalDensity::new(moments)),
         DensityKind::Vae => Box::new(vae::Vae::new(vae::CONFIG, moments, (seed, agent))?),
     })
 }

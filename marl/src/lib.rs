@@ -21,7 +21,7 @@ pub mod state;
 mod surprise;
 
 pub use config::{
-    Config, CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, UpdateConfig,
+    CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, TrainingConfig, UpdateConfig,
 };
 pub use data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use data::observation::{ObservationMoments, ObservationScale};
@@ -29,7 +29,7 @@ pub use error::MarlError;
 pub use optimisation::learning_rate::LearningRateDecay;
 pub use rules::algorithm::{Algorithm, Report};
 pub use rules::build;
-pub use state::State;
+pub use state::StoredState;
 pub use surprise::Surprise;
 
 #[cfg(test)]

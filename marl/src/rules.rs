@@ -8,7 +8,7 @@ mod on_policy;
 
 use policy::{PolicyConfig, RunSeed};
 
-use crate::config::{Config, Rule};
+use crate::config::{Rule, TrainingConfig};
 use crate::data::batch::Problem;
 use crate::error::MarlError;
 use algorithm::Algorithm;
@@ -24,7 +24,7 @@ use on_policy::OnPolicy;
 /// # Errors
 /// If a tensor operation fails.
 pub fn build(
-    config: &Config,
+    config: &TrainingConfig,
     policy: &PolicyConfig,
     problem: &Problem,
     seed: RunSeed,

@@ -21,7 +21,7 @@ pub enum Elements<'a> {
 
 /// The shape of an array.
 #[derive(Clone, Copy)]
-pub enum Shape<'a> {
+pub enum ArrayShape<'a> {
     /// The length of every axis.
     Fixed(&'a [usize]),
     /// Any number of rows, each with one axis less.
@@ -37,13 +37,13 @@ pub trait Visitor {
     fn array(
         &mut self,
         name: &str,
-        shape: Shape<'_>,
+        shape: ArrayShape<'_>,
         elements: Elements<'_>,
     ) -> Result<(), MarlError>;
 }
 
 /// A state that is stored in checkpoints.
-pub trait State {
+pub trait StoredState {
     /// Prefixes of the names of its arrays.
     fn prefixes(&self) -> &'static [&'static str];
 
@@ -69,7 +69,7 @@ pub trait State {
         saved(prefix, |visitor| self.visit(visitor))
     }
 
-    /// Restores the output of [`State::arrays`]. Arrays under other prefixes are ignored. After an error the state is
+    /// Restores the output of [`StoredState::arrays`]. Arrays under other prefixes are ignored. After an error the state is
     /// unspecified.
     ///
     /// # Errors
@@ -114,7 +114,7 @@ impl Visitor for Saved {
     fn array(
         &mut self,
         name: &str,
-        shape: Shape<'_>,
+        shape: ArrayShape<'_>,
         elements: Elements<'_>,
     ) -> Result<(), MarlError> {
         if name.starts_with(self.prefix) {
@@ -141,7 +141,7 @@ impl Visitor for Restored<'_> {
     fn array(
         &mut self,
         name: &str,
-        shape: Shape<'_>,
+        shape: ArrayShape<'_>,
         elements: Elements<'_>,
     ) -> Result<(), MarlError> {
         let stored = self.arrays.get(name);
@@ -184,7 +184,7 @@ impl Elements<'_> {
     }
 }
 
-impl Shape<'_> {
+impl ArrayShape<'_> {
     /// The shape of `count` elements.
     fn with(self, count: usize) -> Vec<usize> {
         match self {
@@ -218,7 +218,7 @@ pub(crate) fn visit_numbers(
     numbers: &mut Vec<f64>,
 ) -> Result<(), MarlError> {
     let shape = [numbers.len()];
-    visitor.array(name, Shape::Fixed(&shape), Elements::F64(numbers))
+    visitor.array(name, ArrayShape::Fixed(&shape), Elements::F64(numbers))
 }
 
 /// Visits a number as an array of one element.
@@ -240,7 +240,7 @@ pub(crate) fn visit_count(
     count: &mut i64,
 ) -> Result<(), MarlError> {
     let mut counts = vec![*count];
-    visitor.array(name, Shape::Fixed(&[1]), Elements::I64(&mut counts))?;
+    visitor.array(name, ArrayShape::Fixed(&[1]), Elements::I64(&mut counts))?;
     if counts[0] < 0 {
         return Err(MarlError::Restore(format!("{name} is {}, expected a count", counts[0])));
     }
@@ -258,7 +258,7 @@ pub(crate) fn visit_spans(
     for span in spans {
         let own = &mut values[span.var][span.range.clone()];
         let (name, mut part) = (format!("{prefix}{}", span.name), own.to_vec());
-        visitor.array(&name, Shape::Fixed(&span.shape), Elements::F32(&mut part))?;
+        visitor.array(&name, ArrayShape::Fixed(&span.shape), Elements::F32(&mut part))?;
         own.copy_from_slice(&part);
     }
     Ok(())
@@ -285,14 +285,14 @@ mod tests {
         rows: Vec<i64>,
     }
 
-    impl State for Two {
+    impl StoredState for Two {
         fn prefixes(&self) -> &'static [&'static str] {
             &["x/"]
         }
 
         fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
-            visitor.array("x/pair", Shape::Fixed(&[2]), Elements::F32(&mut self.pair))?;
-            visitor.array("x/rows", Shape::Rows(&[3]), Elements::I64(&mut self.rows))
+            visitor.array("x/pair", ArrayShape::Fixed(&[2]), Elements::F32(&mut self.pair))?;
+            visitor.array("x/rows", ArrayShape::Rows(&[3]), Elements::I64(&mut self.rows))
         }
     }
 

@@ -14,7 +14,7 @@ use crate::density::{self, DensityContext, Observations};
 use crate::error::MarlError;
 use crate::rules::algorithm::Report;
 use crate::shape::assert_shape;
-use crate::state::{State, Visitor};
+use crate::state::{StoredState, Visitor};
 use crate::surprise::agent::AgentSurprise;
 
 /// Eq. (2): `sum_t H(s_t) <= - sum_t E[log p_theta(s_t)]`; the right-hand side per step: minus the mean log-density of
@@ -123,7 +123,7 @@ impl Surprise {
     }
 }
 
-impl State for Surprise {
+impl StoredState for Surprise {
     fn prefixes(&self) -> &'static [&'static str] {
         &["density/"]
     }

@@ -5,7 +5,7 @@
 mod settings;
 
 use marl::config::{CriticCore, Rule, Sharing, StateNorm};
-use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
+use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Final, Problem, TrainingConfig};
 use policy::{
     CoreKind, Draw, Head, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch, generator,
     standard_normal,
@@ -25,7 +25,7 @@ fn policy() -> PolicyConfig {
     PolicyConfig { width: 16, ..settings::policy(CoreKind::Mlp) }
 }
 
-fn config(rule: Rule, parameters: Sharing) -> Config {
+fn config(rule: Rule, parameters: Sharing) -> TrainingConfig {
     let mut config = settings::config(rule);
     config.update.parameters = parameters;
     config.update.minibatches = 2;

@@ -5,7 +5,7 @@
 mod settings;
 
 use marl::config::{CriticCore, Rule, Sharing};
-use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Config, Final, Problem};
+use marl::{ActionKind, AgentBatch, AgentShape, Algorithm, Batch, Final, Problem, TrainingConfig};
 use policy::{
     Array, CoreKind, Draw, NamedArrays, PolicyConfig, PolicySnapshot, Purpose, RunSeed, Scratch,
     generator, standard_normal,
@@ -18,7 +18,7 @@ fn policy() -> PolicyConfig {
     settings::policy(CoreKind::Gru)
 }
 
-fn config(lambda: f64) -> Config {
+fn config(lambda: f64) -> TrainingConfig {
     let mut config = settings::config(Rule::Happo);
     config.influence.lambda = lambda;
     config

@@ -5,7 +5,7 @@
 
 mod reader;
 
-use kernels::{Activation, Input, Packed, Sequences, Workspace};
+use kernels::{Activation, Input, Packed, SequenceLayout, Workspace};
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
@@ -324,7 +324,7 @@ impl ActorPolicy {
         let hidden = &mut hidden[..rows * self.hidden_size()];
         let Scratch { observation, mask, output: found, states, workspace } = scratch;
         mask.resize(rows, 1.0);
-        let sequences = Sequences { start: hidden, mask: &mask[..rows], count: rows };
+        let sequences = SequenceLayout { start: hidden, mask: &mask[..rows], count: rows };
         let gru = self.network.network().gru();
         let input = Input { rows: observation, sequences: gru.map(|_| sequences) };
         self.network.forward(input, workspace);

@@ -32,7 +32,7 @@ pub use head::{Distribution, Head};
 pub use network::{ActorNetwork, SequenceInput, project_sigma};
 pub use parameters::Parameters;
 pub use probe::probe;
-pub use randomness::{Draw, Key, Purpose, RunSeed, generator, standard_normal};
+pub use randomness::{Draw, DrawKey, Purpose, RunSeed, generator, standard_normal};
 pub use setting::SettingError;
 pub use snapshot::{PolicySnapshot, digest};
 pub use standardisation::Standardisation;

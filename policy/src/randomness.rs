@@ -104,9 +104,9 @@ impl Draw {
 /// The ChaCha key of one draw. Its 32 bytes are, little-endian: run seed (8), purpose (4), agent (4),
 /// iteration (8), environment (4), step (4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Key(pub [u8; 32]);
+pub struct DrawKey(pub [u8; 32]);
 
-impl Key {
+impl DrawKey {
     /// The key of `draw` in the run with `seed`.
     #[must_use]
     pub fn of(seed: RunSeed, draw: Draw) -> Self {
@@ -134,10 +134,10 @@ impl Key {
     }
 }
 
-/// The generator of one draw, with the key [`Key::of`].
+/// The generator of one draw, with the key [`DrawKey::of`].
 #[must_use]
 pub fn generator(seed: RunSeed, draw: Draw) -> ChaCha8Rng {
-    Key::of(seed, draw).generator()
+    DrawKey::of(seed, draw).generator()
 }
 
 /// One standard normal number (Box-Muller): `sqrt(-2 ln u) cos(2 pi v)` with two 32-bit draws,

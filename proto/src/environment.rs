@@ -93,7 +93,7 @@ pub enum FeatureRole {
 /// The first difference between two descriptions.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field} is {found}, expected {expected}")]
-pub struct Difference {
+pub struct SpecDifference {
     /// Path of the field, for example `agents[1].action.size`.
     pub field: String,
     /// The value found.
@@ -105,7 +105,7 @@ pub struct Difference {
 impl EnvironmentSpec {
     /// The first difference of `found` from this description, in field order; `None` if equal but for [`AgentSpec::near`].
     #[must_use]
-    pub fn first_difference(&self, found: &Self) -> Option<Difference> {
+    pub fn first_difference(&self, found: &Self) -> Option<SpecDifference> {
         differ("task", &found.task, &self.task)
             .or_else(|| list("agents", &found.agents, &self.agents, agent))
             .or_else(|| list("state", &found.state, &self.state, feature))
@@ -342,7 +342,7 @@ fn check_names(features: &[FeatureSpec], field: &str) -> Result<(), Refusal> {
     features.try_for_each(|(i, feature)| short_name(&feature.name, &format!("{field}[{i}].name")))
 }
 
-fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {
+fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<SpecDifference> {
     let (act, right) = (&found.action, &expected.action);
     differ("name", &found.name, &expected.name)
         .or_else(|| list("joints", &found.joints, &expected.joints, |a, b| differ("", a, b)))
@@ -354,13 +354,13 @@ fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<Difference> {
         .or_else(|| differ("action.choices", &act.choices, &right.choices))
 }
 
-fn feature(found: &FeatureSpec, expected: &FeatureSpec) -> Option<Difference> {
+fn feature(found: &FeatureSpec, expected: &FeatureSpec) -> Option<SpecDifference> {
     differ("name", &found.name, &expected.name)
         .or_else(|| differ("role", &found.role, &expected.role))
 }
 
-fn differ<T: PartialEq + Debug>(field: &str, found: &T, expected: &T) -> Option<Difference> {
-    let difference = || Difference {
+fn differ<T: PartialEq + Debug>(field: &str, found: &T, expected: &T) -> Option<SpecDifference> {
+    let difference = || SpecDifference {
         field: field.to_owned(),
         found: format!("{found:?}"),
         expected: format!("{expected:?}"),
@@ -372,8 +372,8 @@ fn list<T>(
     field: &str,
     found: &[T],
     expected: &[T],
-    differ_in: impl Fn(&T, &T) -> Option<Difference>,
-) -> Option<Difference> {
+    differ_in: impl Fn(&T, &T) -> Option<SpecDifference>,
+) -> Option<SpecDifference> {
     if found.len() != expected.len() {
         return differ(&format!("{field}.len"), &found.len(), &expected.len());
     }
@@ -383,7 +383,7 @@ fn list<T>(
     })
 }
 
-fn inside(outer: &impl Display, inner: Difference) -> Difference {
+fn inside(outer: &impl Display, inner: SpecDifference) -> SpecDifference {
     let dot = if inner.field.is_empty() { "" } else { "." };
-    Difference { field: format!("{outer}{dot}{}", inner.field), ..inner }
+    SpecDifference { field: format!("{outer}{dot}{}", inner.field), ..inner }
 }

@@ -41,7 +41,7 @@ pub use calls::{
 };
 pub use digest::Digest;
 pub use environment::{
-    ActionSpec, AgentSpec, Difference, EnvironmentSpec, FeatureRole, FeatureSpec,
+    ActionSpec, AgentSpec, EnvironmentSpec, FeatureRole, FeatureSpec, SpecDifference,
 };
 pub use episode_position::EpisodePosition;
 pub use episodes::{Episodes, rollout_episode_id};

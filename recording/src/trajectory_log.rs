@@ -20,7 +20,7 @@ mod writer;
 pub use collector::ShareCollector;
 pub use config::{FILE_BYTES, LogConfig, LogSettings};
 pub use error::{LogError, LogStartError};
-pub use replay::{Difference, Replayed, replay};
+pub use replay::{ReplayDifference, Replayed, replay};
 pub use shares::{ReadShares, read_shares, totals};
 pub use source::{is_log_name, read_bytes};
 pub use writer::{Log, LogHandle};

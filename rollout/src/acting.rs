@@ -29,7 +29,7 @@ pub(crate) struct Agents {
 
 /// Parts of the key of a step's draws.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Noise {
+pub(crate) struct DrawContext {
     pub(crate) seed: RunSeed,
     pub(crate) iteration: u64,
     pub(crate) step: u32,
@@ -76,12 +76,13 @@ impl Agents {
 
     /// Samples actions from the networks' distributions and computes their log-probabilities. Each draw has its own
     /// key. `indices` are the global indices of the environments, in the order of the rows.
-    pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], noise: Noise) {
+    pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], context: DrawContext) {
         for (agent, policy) in policy.agents.iter().enumerate() {
             let (output, action) = (&self.output[agent], &mut self.action[agent]);
             for (place, &environment) in indices.iter().enumerate() {
-                let key = Draw::of_action(noise.iteration, environment, noise.step, agent as u32);
-                let mut rng = generator(noise.seed, key);
+                let key =
+                    Draw::of_action(context.iteration, environment, context.step, agent as u32);
+                let mut rng = generator(context.seed, key);
                 let output = &output[row(output.len(), place, self.environments)];
                 let of_row = row(action.len(), place, self.environments);
                 policy.draw(output, &mut rng, &mut action[of_row.clone()]);

@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use policy::{Key, PolicySnapshot, RunSeed};
+use policy::{DrawKey, PolicySnapshot, RunSeed};
 use proto::ActionChoice;
 use sim::{EnvironmentBatch, Outcome, SimError};
 
@@ -25,8 +25,8 @@ pub struct EvaluationEpisode {
 impl EvaluationEpisode {
     /// The key that draws the start state.
     #[must_use]
-    pub fn key(self) -> Key {
-        Key::of_evaluation(self.seed, self.iteration, self.index)
+    pub fn key(self) -> DrawKey {
+        DrawKey::of_evaluation(self.seed, self.iteration, self.index)
     }
 
     /// The id in logs: `evaluation-ITERATION-INDEX`.
@@ -60,7 +60,7 @@ pub struct Episode {
 pub fn play_episode(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
-    (key, choice): (Key, ActionChoice),
+    (key, choice): (DrawKey, ActionChoice),
     mut on_event: impl FnMut(StepEvent<'_>),
 ) -> Result<Episode, SimError> {
     world.reset(0, 0, world.description().episode_steps, key.0)?;

@@ -7,15 +7,15 @@ use sim::{Capsule, EnvironmentBatch, LinkShape, Robot};
 pub const FILMED: u32 = 0;
 
 /// Captures the start of an episode, one frame per step.
-pub struct Camera {
+pub struct FilmRecorder {
     /// Capsules in the frames of their links, and the indices of these in a pose.
     capsules: Vec<(usize, Capsule)>,
     film: Film,
     frames: usize,
 }
 
-impl Camera {
-    /// Creates a camera for `world` and captures the first frame; `None` without a simulated robot, or if the robot has
+impl FilmRecorder {
+    /// Creates a recorder for `world` and captures the first frame; `None` without a simulated robot, or if the robot has
     /// too many capsules for a film.
     #[must_use]
     pub fn before(world: &dyn EnvironmentBatch) -> Option<Self> {
@@ -38,9 +38,9 @@ impl Camera {
             drivers: capsules.iter().map(|(link, _)| drivers[*link]).collect(),
             ends: Vec::new(),
         };
-        let mut camera = Self { capsules, film, frames: 0 };
-        camera.capture(world);
-        Some(camera)
+        let mut recorder = Self { capsules, film, frames: 0 };
+        recorder.capture(world);
+        Some(recorder)
     }
 
     /// Captures a frame, unless the film is full.

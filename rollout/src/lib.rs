@@ -13,7 +13,7 @@ mod slot;
 mod step_event;
 
 pub use evaluation::{Episode, EvaluationEpisode, play_episode};
-pub use film::{Camera, FILMED};
+pub use film::{FILMED, FilmRecorder};
 pub use fingerprint::rollout_fingerprint;
 pub use slot::roll_out;
 pub use step_event::{PlayedStep, StepEvent};

@@ -2,11 +2,11 @@
 
 use std::ops::ControlFlow;
 
-use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use policy::{Draw, DrawKey, PolicySnapshot, Purpose, RunSeed};
 use proto::{RolloutWork, RunDescription, Start, TrajectoryChunk};
 use sim::{EnvironmentBatch, Outcome, SimError};
 
-use crate::acting::{Agents, Noise};
+use crate::acting::{Agents, DrawContext};
 use crate::chunk::ChunkBuilder;
 use crate::step_event::{PlayedStep, StepEvent};
 
@@ -99,8 +99,8 @@ impl<'a> Slot<'a> {
         self.chunk.push_observation(&self.agents, self.world);
         self.agents.forward(self.policy);
         let seed = RunSeed(self.run.seed);
-        let noise = Noise { seed, iteration: self.work.iteration, step };
-        self.agents.draw(self.policy, &self.indices, noise);
+        let context = DrawContext { seed, iteration: self.work.iteration, step };
+        self.agents.draw(self.policy, &self.indices, context);
         self.world.step(self.agents.join(), &mut self.outcomes)?;
         self.chunk.push_step(&self.agents, &self.outcomes);
         let played = self.agents.played(self.world, &self.outcomes, step + 1);
@@ -159,5 +159,5 @@ fn reset(
     limit: u32,
 ) -> Result<(), SimError> {
     let draw = Draw::of(Purpose::Reset).iteration(episode).environment(environment);
-    world.reset(position, episode, limit, Key::of(RunSeed(run.seed), draw).0)
+    world.reset(position, episode, limit, DrawKey::of(RunSeed(run.seed), draw).0)
 }

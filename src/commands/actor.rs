@@ -82,7 +82,7 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
 }
 
 /// The actor's settings, checked; the program ends with status 2 if they are wrong.
-fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
+fn configure(arguments: ActorArguments) -> anyhow::Result<actor::ActorConfig> {
     let transport = match (arguments.tls.read()?, arguments.insecure_allow_remote) {
         (Some(tls), _) => Transport::Tls(tls),
         (None, true) => Transport::PlainText,
@@ -95,7 +95,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::Config> {
     let name = arguments.name.unwrap_or_else(default_name);
     name::check(&name, name::LONGEST)
         .map_err(|error| Usage::new(format!("--name: {name:?} {error}")))?;
-    let config = actor::Config {
+    let config = actor::ActorConfig {
         learner: arguments.learner,
         transport,
         token: listening::token_of_environment()?,

@@ -14,7 +14,7 @@ use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
 use crate::run::checkpointed::{self, Trained};
-use crate::run::offered::Stage;
+use crate::run::offered::RunEnvironment;
 
 /// `s2mia eval`
 #[derive(Args, Debug)]
@@ -35,9 +35,9 @@ pub(crate) struct EvalArguments {
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
-    let mut stage = Stage::of(&trained.config)?;
-    let episodes = play(stage.environment.as_mut(), &trained, arguments)?;
-    let task = &stage.environment.description().task;
+    let mut hosted = RunEnvironment::of(&trained.config)?;
+    let episodes = play(hosted.environment.as_mut(), &trained, arguments)?;
+    let task = &hosted.environment.description().task;
     let spread = Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
     if arguments.json {
         output::line(as_json(task, &trained, &episodes, &spread));

@@ -10,12 +10,12 @@ use tokio::sync::watch;
 use crate::errors::Usage;
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::plan::{PlannedRun, plan, remarks};
-use crate::experiment::progress::Progress;
+use crate::experiment::progress::ExperimentProgress;
 use crate::experiment::record::Record;
 use crate::experiment::run_state::{is_finished, listing};
 use crate::experiment::scheduler::Tally;
 use crate::experiment::selection::{Selection, Shard};
-use crate::experiment::submit::slurm::Options;
+use crate::experiment::submit::slurm::SlurmOptions;
 use crate::experiment::submit::{Jobs, k8s, slurm};
 use crate::experiment::{place, report, scheduler};
 use crate::process::{output, runtime, shell, signals, target};
@@ -99,10 +99,10 @@ impl ClusterArguments {
     }
 
     /// Options of Slurm.
-    pub(crate) fn slurm(&self) -> Result<Options<'_>, Usage> {
+    pub(crate) fn slurm(&self) -> Result<SlurmOptions<'_>, Usage> {
         let others = [("--image", self.image.is_some()), ("--queue", self.queue.is_some())];
         refuse(&others, "k8s")?;
-        Ok(Options { partition: self.partition.as_deref(), time: self.time.as_deref() })
+        Ok(SlurmOptions { partition: self.partition.as_deref(), time: self.time.as_deref() })
     }
 
     /// Image and queue of Kubernetes.
@@ -218,7 +218,7 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
             "stopping after a checkpoint of each run; Ctrl-C again, two seconds later, ends at once",
         );
     })?;
-    let mut progress = Progress::new(runs);
+    let mut progress = ExperimentProgress::new(runs);
     let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;
     let stopped = *stop.borrow();
     Ok((tally, stopped))

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
-use policy::{ActorPolicy, Key, PolicySnapshot};
+use policy::{ActorPolicy, DrawKey, PolicySnapshot};
 use proto::{ActionChoice, AgentSpec, EnvironmentSpec};
 use rollout::StepEvent;
 use serde_json::json;
@@ -19,7 +19,7 @@ use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
 use crate::run::checkpointed::Trained;
-use crate::run::offered::Stage;
+use crate::run::offered::RunEnvironment;
 use crate::run::{checkpointed, run_path};
 
 /// `s2mia export`
@@ -38,10 +38,10 @@ pub(crate) struct ExportArguments {
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
-    let mut stage = Stage::of(&trained.config)?;
+    let mut hosted = RunEnvironment::of(&trained.config)?;
     target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();
-    let files = export((&arguments.onnx, existing), &trained, stage.environment.as_mut())?;
+    let files = export((&arguments.onnx, existing), &trained, hosted.environment.as_mut())?;
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }
@@ -152,7 +152,7 @@ struct Track {
 fn play(
     world: &mut dyn EnvironmentBatch,
     policy: &PolicySnapshot,
-    start: Key,
+    start: DrawKey,
     progress: &WorkProgress,
 ) -> Result<ComparedEpisode, SimError> {
     let most = u64::from(world.description().episode_steps);

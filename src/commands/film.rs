@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use crate::errors::Usage;
-use crate::film::{self, Frame, PlayedEpisode};
+use crate::film::{self, PlayedEpisode, TimedPose};
 use crate::process::output;
 use crate::process::target::{ForceArguments, Target};
 use crate::run::checkpointed::Trained;
@@ -45,7 +45,7 @@ pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let episode = trained.episode(arguments.episode);
     let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
     let steps = steps(arguments, played.dt_secs, played.steps())?;
-    let frames: Vec<Frame<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
+    let frames: Vec<TimedPose<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
     let png = film::strip(&played.robot, &frames)?;
     target.write(&png)?;
     output::line(format!("{episode}: {}", played.summary()));
@@ -63,7 +63,7 @@ fn target(arguments: &FilmArguments) -> anyhow::Result<Target> {
 }
 
 /// The times that the strip shows.
-fn times_shown(frames: &[Frame<'_>], every_secs: f64) -> String {
+fn times_shown(frames: &[TimedPose<'_>], every_secs: f64) -> String {
     let (first, last) = (frames[0].time_secs, frames[frames.len() - 1].time_secs);
     match frames.len() {
         1 => format!("one frame, at {first:.2} s"),

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use crate::listening::{self, Listening, PageArguments};
 use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
-use crate::run::launch::{self, Prepared, ResumeArguments, SettingsArguments};
+use crate::run::launch::{self, PreparedRun, ResumeArguments, SettingsArguments};
 use crate::tls::ServerTlsArguments;
 
 /// `s2mia learner`
@@ -68,13 +68,13 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
 }
 
 async fn serve(
-    prepared: Prepared,
+    prepared: PreparedRun,
     listening: Listening,
     page_tls: Option<ServerTls>,
     arguments: &LearnerArguments,
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
-    let Prepared { config, folder, launch, new: _new } = prepared;
+    let PreparedRun { config, folder, launch, new: _new } = prepared;
     let token = listening::token_of_environment()?;
     let (mut listener, url) = listening.open().await?;
     if let Some(token) = token {

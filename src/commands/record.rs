@@ -13,7 +13,7 @@ use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
 use crate::run::checkpointed::Trained;
-use crate::run::offered::Stage;
+use crate::run::offered::RunEnvironment;
 use crate::run::{checkpointed, run_path};
 
 /// `s2mia record`
@@ -39,11 +39,11 @@ pub(crate) struct RecordArguments {
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = checkpointed::trained(&arguments.run)?;
     let target = target(arguments, trained.iteration)?;
-    let mut stage = Stage::of(&trained.config)?;
-    let run = recorded(arguments, &trained, &stage)?;
+    let mut hosted = RunEnvironment::of(&trained.config)?;
+    let run = recorded(arguments, &trained, &hosted)?;
     let episodes = episodes(arguments, &trained);
     let summary = target.fill(|draft| {
-        played(&mut stage, &run, &episodes, draft)
+        played(&mut hosted, &run, &episodes, draft)
             .with_context(|| format!("cannot record {}", target.path().display()))
     })?;
     for (episode, played) in episodes.iter().zip(&summary.episodes) {
@@ -58,12 +58,12 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
 
 /// Plays the episodes one after the other and records them.
 fn played(
-    stage: &mut Stage,
+    hosted: &mut RunEnvironment,
     run: &RecordedRun<'_>,
     episodes: &[EvaluationEpisode],
     path: &Path,
 ) -> Result<RecordSummary, RecordError> {
-    let world = stage.environment.as_mut();
+    let world = hosted.environment.as_mut();
     let most = u64::from(world.description().episode_steps);
     let (count, progress) = (episodes.len(), WorkProgress::new());
     recording::record(world, run, episodes, path, |index, step| {
@@ -94,10 +94,10 @@ fn episodes(arguments: &RecordArguments, trained: &Trained) -> Vec<EvaluationEpi
 fn recorded<'a>(
     arguments: &RecordArguments,
     trained: &'a Trained,
-    stage: &Stage,
+    hosted: &RunEnvironment,
 ) -> anyhow::Result<RecordedRun<'a>> {
     let config = &trained.config;
-    let task = &stage.environment.description().task;
+    let task = &hosted.environment.description().task;
     let mut metadata = checkpointed::metadata(trained, task);
     metadata.insert("run_id".to_owned(), run_path::name(&RunFolder::of(&arguments.run)));
     let task_settings = match config.environment.url.as_str() {

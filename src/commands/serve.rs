@@ -18,7 +18,7 @@ use crate::config::run_settings::config_of_run;
 use crate::errors::Usage;
 use crate::listening::Listening;
 use crate::process::{output, runtime, signals};
-use crate::run::offered::Stage;
+use crate::run::offered::RunEnvironment;
 use crate::run::{checkpointed, run_path};
 use crate::tls::ServerTlsArguments;
 
@@ -83,8 +83,8 @@ impl ServedRun {
     fn open(folder: &Path) -> anyhow::Result<Self> {
         let loaded = checkpointed::load(folder)?;
         let config = config_of_run(folder)?;
-        let stage = Stage::of(&config)?;
-        let environment = stage.environment.description().clone();
+        let hosted = RunEnvironment::of(&config)?;
+        let environment = hosted.environment.description().clone();
         let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;
         let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
         let newest = Arc::new(policies(loaded, &environment, &hidden_sizes)?);

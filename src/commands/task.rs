@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use policy::randomness::uniform;
-use policy::{Draw, Key, Purpose, RunSeed};
+use policy::{Draw, DrawKey, Purpose, RunSeed};
 use sim::{EnvironmentBatch, Outcome, Pose, Robot, TaskDefinition};
 
 use super::tasks;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::film::{self, Frame, RobotShapes};
+use crate::film::{self, RobotShapes, TimedPose};
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, shell, target};
 
@@ -172,7 +172,7 @@ impl Trial {
     fn play(&mut self, world: &mut dyn EnvironmentBatch, episode: u32) -> anyhow::Result<()> {
         let limit = world.description().episode_steps;
         let start = Draw::of(Purpose::EvaluationReset).iteration(episode.into());
-        world.reset(0, 0, limit, Key::of(SEED, start).0)?;
+        world.reset(0, 0, limit, DrawKey::of(SEED, start).0)?;
         let mut outcome = [Outcome::default()];
         for step in 0.. {
             if episode == 0 {
@@ -224,7 +224,7 @@ impl Trial {
         let count = FRAMES.min(self.poses.len());
         let frame = |picture: usize| {
             let step = picture * (self.poses.len() - 1) / count.saturating_sub(1).max(1);
-            Frame { time_secs: step as f64 * dt_secs, pose: &self.poses[step] }
+            TimedPose { time_secs: step as f64 * dt_secs, pose: &self.poses[step] }
         };
         film::strip(&robot, &(0..count).map(frame).collect::<Vec<_>>())
     }
@@ -235,7 +235,7 @@ fn random_action(world: &dyn EnvironmentBatch, episode: u32, step: u32) -> Vec<f
     let agents = (0..).zip(&world.description().agents);
     let draw = |(number, agent): (u32, &proto::AgentSpec)| {
         let key = Draw::of_action(0, episode, step, number);
-        let mut rng = Key::of(SEED, key).generator();
+        let mut rng = DrawKey::of(SEED, key).generator();
         let range = agent.action.low..agent.action.high;
         let width = range.end - range.start;
         (0..agent.action.size).map(|_| range.start + width * uniform(&mut rng)).collect::<Vec<_>>()

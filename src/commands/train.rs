@@ -20,7 +20,7 @@ use crate::figures::{chart, learning_curve};
 use crate::listening::PageArguments;
 use crate::process::{output, runtime, shell, signals};
 use crate::progress::Progress;
-use crate::run::launch::{Prepared, ResumeArguments, SettingsArguments};
+use crate::run::launch::{PreparedRun, ResumeArguments, SettingsArguments};
 use crate::run::supervisor::ActorProcesses;
 use crate::run::{determinism, launch, run_path, supervisor};
 
@@ -63,7 +63,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     if let Some(iterations) = arguments.verify_determinism {
         return determinism::verify(&arguments.settings, iterations);
     }
-    let Prepared { config, folder, launch, .. } = &prepared;
+    let PreparedRun { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
     let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
@@ -73,12 +73,12 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
 }
 
 async fn train(
-    prepared: Prepared,
+    prepared: PreparedRun,
     page: &PageArguments,
     stop_sender: watch::Sender<bool>,
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
-    let Prepared { config, folder, launch, new: _new } = prepared;
+    let PreparedRun { config, folder, launch, new: _new } = prepared;
     let page = page.open(None).await?;
     let begin = Instant::now();
     let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;

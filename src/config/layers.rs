@@ -43,7 +43,7 @@ static DEFAULTS: LazyLock<Values> = LazyLock::new(|| {
 });
 
 /// Values of one place.
-pub(super) struct Layer {
+pub(super) struct SettingsLayer {
     /// The place, as messages and `s2mia config` name it.
     pub(super) place: String,
     /// Who chose the values.
@@ -110,13 +110,13 @@ pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
 }
 
 /// `configs/base.toml` alone.
-fn base_layer() -> Layer {
+fn base_layer() -> SettingsLayer {
     let (place, values) = (presets::BASE.path.to_owned(), DEFAULTS.clone());
-    Layer { place, source: Source::Program, values }
+    SettingsLayer { place, source: Source::Program, values }
 }
 
 /// The layers that the user wrote: files, environment, command line.
-fn asked_layers(request: &Request) -> Result<Vec<Layer>, ConfigError> {
+fn asked_layers(request: &Request) -> Result<Vec<SettingsLayer>, ConfigError> {
     let mut layers = Vec::new();
     for file in &request.files {
         layers.push(given_file(file)?);
@@ -169,7 +169,10 @@ fn misplaced(argument: &str) -> ConfigError {
 
 /// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one algorithm
 /// on one task (`algorithm.NAME.TASK`) is above the algorithm's file, everything else of it below.
-fn named_layers(asked: &[Layer], own: Option<&OwnTask>) -> Result<Vec<Layer>, ConfigError> {
+fn named_layers(
+    asked: &[SettingsLayer],
+    own: Option<&OwnTask>,
+) -> Result<Vec<SettingsLayer>, ConfigError> {
     let (task, mut layers) = task_layers(asked, own)?;
     let algorithm = chosen("algorithm", presets::ALGORITHMS, asked)?;
     let preset = chosen("preset", presets::PRESETS, asked)?;
@@ -195,9 +198,9 @@ fn taken(from: &mut Table, name: &str, path: &[&str]) -> Table {
 /// Name and settings of the task. An environment from outside has none unless a task is named: the default's would be
 /// those of another robot.
 fn task_layers(
-    asked: &[Layer],
+    asked: &[SettingsLayer],
     own: Option<&OwnTask>,
-) -> Result<(String, Vec<Layer>), ConfigError> {
+) -> Result<(String, Vec<SettingsLayer>), ConfigError> {
     let Some(own) = own else {
         if names_outside(asked) && !asked.iter().any(|layer| layer.values.contains_key("task")) {
             return Ok((String::new(), Vec::new()));
@@ -206,17 +209,21 @@ fn task_layers(
         return Ok((task.name.to_owned(), vec![preset_layer(task)?]));
     };
     let settings = laid_out(&own.place, &own.settings()?)?;
-    let settings = Layer { source: Source::User, ..settings };
+    let settings = SettingsLayer { source: Source::User, ..settings };
     Ok((own.name.clone(), vec![settings]))
 }
 
 /// Whether the environment comes from outside.
-fn names_outside(asked: &[Layer]) -> bool {
+fn names_outside(asked: &[SettingsLayer]) -> bool {
     let url = asked.iter().rev().find_map(|layer| layer.values.get(keys::URL)?.as_str());
     url.is_some_and(|url| !url.is_empty())
 }
 
-fn chosen(kind: &'static str, known: &[Preset], asked: &[Layer]) -> Result<Preset, ConfigError> {
+fn chosen(
+    kind: &'static str,
+    known: &[Preset],
+    asked: &[SettingsLayer],
+) -> Result<Preset, ConfigError> {
     let given = asked.iter().rev().find(|layer| layer.values.contains_key(kind));
     let (place, values) = match given {
         Some(layer) => (layer.place.as_str(), &layer.values),
@@ -235,13 +242,13 @@ fn chosen(kind: &'static str, known: &[Preset], asked: &[Layer]) -> Result<Prese
     })
 }
 
-fn preset_layer(preset: Preset) -> Result<Layer, ConfigError> {
+fn preset_layer(preset: Preset) -> Result<SettingsLayer, ConfigError> {
     table_layer(preset.path, preset.text)
 }
 
 /// The settings of a file that the user gives. A file of the program keeps its meaning, and one with every semantic key, as
 /// `s2mia config` prints them and as runs keep them, repeats what the program would choose.
-fn given_file(path: &Path) -> Result<Layer, ConfigError> {
+fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
     let (place, text) = read(path)?;
     let layer = table_layer(&place, &text)?;
     let mut semantic = DEFAULTS.keys().filter(|key| keys::is_semantic(key));
@@ -252,7 +259,7 @@ fn given_file(path: &Path) -> Result<Layer, ConfigError> {
     } else {
         Source::User
     };
-    Ok(Layer { source, ..layer })
+    Ok(SettingsLayer { source, ..layer })
 }
 
 /// The name of a file for messages, and its text.
@@ -267,12 +274,12 @@ fn read(path: &Path) -> Result<(String, String), ConfigError> {
     Ok((place, text))
 }
 
-fn table_layer(place: &str, text: &str) -> Result<Layer, ConfigError> {
+fn table_layer(place: &str, text: &str) -> Result<SettingsLayer, ConfigError> {
     laid_out(place, &parsed(place, text)?)
 }
 
 /// A table's values under their dotted keys, each of the default's kind.
-fn laid_out(place: &str, table: &Table) -> Result<Layer, ConfigError> {
+fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
     let mut values = BTreeMap::new();
     for (key, value) in leaves(table) {
         if value.is_table() && first_inside(&key).is_some() {
@@ -283,15 +290,15 @@ fn laid_out(place: &str, table: &Table) -> Result<Layer, ConfigError> {
         let fitted = fitted.ok_or_else(|| wrong_kind(place, &key, default, &value.to_string()))?;
         values.insert(key, fitted);
     }
-    Ok(Layer { place: place.to_owned(), source: Source::Program, values })
+    Ok(SettingsLayer { place: place.to_owned(), source: Source::Program, values })
 }
 
-fn setting_layer(place: &str, key: &str, text: &str) -> Result<Layer, ConfigError> {
+fn setting_layer(place: &str, key: &str, text: &str) -> Result<SettingsLayer, ConfigError> {
     let default = known(place, key)?;
     let value = scalar::parsed(text, default)
         .ok_or_else(|| wrong_kind(place, key, default, &format!("`{text}`")))?;
     let values = BTreeMap::from([(key.to_owned(), value)]);
-    Ok(Layer { place: place.to_owned(), source: Source::User, values })
+    Ok(SettingsLayer { place: place.to_owned(), source: Source::User, values })
 }
 
 /// The first key of the section `key`; `None` if it is no section.

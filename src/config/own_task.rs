@@ -13,7 +13,7 @@ use toml::Value;
 use crate::process::shell;
 
 use super::error::ConfigError;
-use super::layers::{Layer, Source};
+use super::layers::{SettingsLayer, Source};
 
 /// Text of the task file; empty for a task of the program.
 pub(crate) const FILE: &str = "task_file.text";
@@ -38,7 +38,7 @@ pub(crate) struct OwnTask {
 
 impl OwnTask {
     /// The task that these layers define: by the path of its file, or with its texts, as the settings of a run do.
-    pub(super) fn of(asked: &[Layer]) -> Result<Option<Self>, ConfigError> {
+    pub(super) fn of(asked: &[SettingsLayer]) -> Result<Option<Self>, ConfigError> {
         let text = |key: &str| {
             asked.iter().rev().find_map(|layer| match layer.values.get(key) {
                 Some(Value::String(text)) if !text.is_empty() => Some((text.clone(), &layer.place)),
@@ -57,12 +57,12 @@ impl OwnTask {
     }
 
     /// The settings that define the task, in the place of the path of its file.
-    pub(super) fn identity(&self) -> Layer {
+    pub(super) fn identity(&self) -> SettingsLayer {
         let TaskDefinition { file, model } = &self.definition;
         let texts = [("task", &self.name), (FILE, file), (MODEL, model)];
         let values = texts.map(|(key, text)| (key.to_owned(), Value::from(text.as_str())));
         let values = BTreeMap::from(values);
-        Layer { place: self.place.clone(), source: Source::Program, values }
+        SettingsLayer { place: self.place.clone(), source: Source::Program, values }
     }
 
     /// Reads the file that `task` names: `FILE.toml`, or `FILE.toml:PARTITION` if the file has several partitions. `None`

@@ -8,7 +8,7 @@ use sha2::{Digest as _, Sha256};
 use toml::Value;
 
 use super::keys;
-use super::layers::{Layer, Source};
+use super::layers::{SettingsLayer, Source};
 
 /// A value and the layer that set it last.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,7 +30,7 @@ pub(crate) struct Resolved {
 
 impl Resolved {
     /// The settings of `layers`, of which later ones win; the first one has every key.
-    pub(super) fn laid_over(layers: Vec<Layer>) -> Self {
+    pub(super) fn laid_over(layers: Vec<SettingsLayer>) -> Self {
         let mut resolved = Self { entries: BTreeMap::new(), given: BTreeMap::new() };
         for layer in layers {
             resolved.note(&layer);
@@ -44,7 +44,7 @@ impl Resolved {
 
     /// Notes what the user gives with `layer`, which is about to replace the values below. A value that switches another
     /// setting off also takes back what the user gave for that one.
-    fn note(&mut self, layer: &Layer) {
+    fn note(&mut self, layer: &SettingsLayer) {
         if layer.source == Source::Program {
             return;
         }

@@ -91,9 +91,9 @@ pub(crate) struct RunConfig {
     /// Section `policy`.
     pub(crate) policy: policy::PolicyConfig,
     /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
-    pub(crate) training: marl::Config,
+    pub(crate) training: marl::TrainingConfig,
     /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `learner`.
-    pub(crate) learner: learner::config::Config,
+    pub(crate) learner: learner::config::LearnerConfig,
     /// Section `log`.
     pub(crate) log: recording::trajectory_log::LogSettings,
 }

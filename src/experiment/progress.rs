@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::plan::PlannedRun;
-use super::run_state::{Ending, RunState, run_state};
+use super::run_state::{Ending, RunFolderState, run_state};
 use crate::figures::chart;
 use crate::process::output;
 
@@ -15,10 +15,10 @@ use crate::process::output;
 const LINE_PERIOD: Duration = Duration::from_secs(30);
 
 /// Shows how far an experiment is.
-pub(crate) struct Progress {
+pub(crate) struct ExperimentProgress {
     begin: Instant,
     /// How far each run was when last looked at; a finished one needs no other look.
-    known: Vec<RunState>,
+    known: Vec<RunFolderState>,
     /// Environment steps that were done before.
     steps_before: u64,
     screen: Screen,
@@ -42,11 +42,11 @@ struct Figures {
     secs: f64,
 }
 
-impl Progress {
+impl ExperimentProgress {
     /// Before the first run starts; a bar if stdout is a terminal.
     pub(crate) fn new(runs: &[PlannedRun]) -> Self {
         let begin = Instant::now();
-        let known: Vec<RunState> = runs.iter().map(run_state).collect();
+        let known: Vec<RunFolderState> = runs.iter().map(run_state).collect();
         let (done, total) = steps(runs, &known);
         let screen = if std::io::stdout().is_terminal() {
             Screen::Bar(bar(total))
@@ -65,13 +65,13 @@ impl Progress {
             Screen::Bar(_) => {}
         }
         for (known, run) in self.known.iter_mut().zip(runs) {
-            if *known != RunState::Finished {
+            if *known != RunFolderState::Finished {
                 *known = run_state(run);
             }
         }
         let (env_steps, total) = steps(runs, &self.known);
         let figures = Figures {
-            finished: self.known.iter().filter(|known| **known == RunState::Finished).count(),
+            finished: self.known.iter().filter(|known| **known == RunFolderState::Finished).count(),
             runs: runs.len(),
             going,
             env_steps,
@@ -103,7 +103,7 @@ impl Progress {
     }
 }
 
-impl Drop for Progress {
+impl Drop for ExperimentProgress {
     fn drop(&mut self) {
         if let Screen::Bar(bar) = &self.screen {
             bar.finish_and_clear();
@@ -132,7 +132,7 @@ impl Figures {
 }
 
 /// Environment steps that are done, and all of them.
-fn steps(runs: &[PlannedRun], known: &[RunState]) -> (u64, u64) {
+fn steps(runs: &[PlannedRun], known: &[RunFolderState]) -> (u64, u64) {
     let total = |run: &PlannedRun| run.config.env_steps();
     let done = runs.iter().zip(known).map(|(run, known)| known.env_steps(total(run))).sum();
     (done, runs.iter().map(total).sum())

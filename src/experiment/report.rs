@@ -7,8 +7,8 @@ use super::comparison::{Comparison, Measure, comparisons};
 use super::file::ExperimentFile;
 use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
-use super::results::{Estimate, Measured, Row, rows};
-use super::run_state::{RunState, mismatch, run_state};
+use super::results::{Estimate, Measured, ResultRow, rows};
+use super::run_state::{RunFolderState, mismatch, run_state};
 use crate::figures::learning_curve::{self, Curve, Quantity};
 use crate::figures::{self, chart};
 use crate::process::target;
@@ -58,7 +58,7 @@ fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Cur
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
             None if is_there(run) => {
-                let (curve, done) = (of_folder(run)?, run_state(run) == RunState::Finished);
+                let (curve, done) = (of_folder(run)?, run_state(run) == RunFolderState::Finished);
                 if kept && done {
                     record.add(run, &curve)?;
                 }
@@ -81,7 +81,7 @@ fn of_folder(run: &PlannedRun) -> anyhow::Result<Curve> {
 }
 
 fn is_there(run: &PlannedRun) -> bool {
-    run_state(run) != RunState::New && mismatch(run).is_none()
+    run_state(run) != RunFolderState::New && mismatch(run).is_none()
 }
 
 fn measured(curve: &Curve) -> Measured {
@@ -95,7 +95,11 @@ fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
-fn markdown(rows: &[Row], file: &ExperimentFile, (finished, planned): (usize, usize)) -> String {
+fn markdown(
+    rows: &[ResultRow],
+    file: &ExperimentFile,
+    (finished, planned): (usize, usize),
+) -> String {
     let share = 100.0 * file.threshold;
     let mut text = format!(
         "{finished} of {planned} runs are finished. Interquartile means over seeds with 95 % bootstrap \
@@ -162,9 +166,9 @@ const CSV_HEADER: &str = "task,variant,runs,final_return,final_return_low,final_
     improvement,improvement_low,improvement_high";
 
 /// A number, or an empty field for a missing value.
-fn csv(rows: &[Row]) -> String {
+fn csv(rows: &[ResultRow]) -> String {
     let three = |e: Estimate| format!("{},{},{}", e.value, e.interval.low, e.interval.high);
-    let line = |row: &Row| {
+    let line = |row: &ResultRow| {
         format!(
             "{},{},{},{},{},{},{},{},{}\n",
             row.task,
@@ -187,12 +191,12 @@ mod tests {
     use crate::experiment::file::tests::SAMPLE;
     use crate::figures::statistics::Interval;
 
-    fn sample() -> Row {
+    fn sample() -> ResultRow {
         let estimate = |value: f64| Estimate {
             value,
             interval: Interval { low: value - 1.0, high: value + 1.0 },
         };
-        Row {
+        ResultRow {
             task: "ant-4x2".into(),
             variant: "near".into(),
             runs: 3,

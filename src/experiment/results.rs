@@ -41,7 +41,7 @@ pub(crate) struct Measured {
 
 /// A variant on a task.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Row {
+pub(crate) struct ResultRow {
     /// Task.
     pub(crate) task: String,
     /// Variant.
@@ -67,7 +67,12 @@ pub(super) type Groups<'a> = BTreeMap<(&'a str, &'a str), Vec<&'a [(f64, f64)]>>
 
 /// A row for each variant on each task, in the order of `variants` within a task. The threshold of a task is `share` of
 /// the way from the return at the start of its runs to the highest final return among its variants.
-pub(crate) fn rows(runs: &[Measured], variants: &[String], baseline: &str, share: f64) -> Vec<Row> {
+pub(crate) fn rows(
+    runs: &[Measured],
+    variants: &[String],
+    baseline: &str,
+    share: f64,
+) -> Vec<ResultRow> {
     let groups = grouped(runs);
     let mut rows = Vec::new();
     for task in tasks(&groups) {
@@ -112,12 +117,12 @@ fn row(
     curves: &[&[(f64, f64)]],
     threshold: Option<f64>,
     baseline: Option<&[f64]>,
-) -> Row {
+) -> ResultRow {
     let finals = finals(curves);
     let areas = areas(curves);
     let reached: Vec<Option<f64>> =
         curves.iter().map(|curve| first_reaching(after_start(curve), threshold?)).collect();
-    Row {
+    ResultRow {
         task: task.to_owned(),
         variant: variant.to_owned(),
         runs: curves.len(),

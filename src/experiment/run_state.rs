@@ -17,7 +17,7 @@ const TAIL_BYTES: u64 = 64 << 10;
 
 /// State of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum RunState {
+pub(crate) enum RunFolderState {
     /// The folder contains no run.
     New,
     /// The run is in progress or can be resumed.
@@ -29,7 +29,7 @@ pub(crate) enum RunState {
     Finished,
 }
 
-impl RunState {
+impl RunFolderState {
     /// Environment steps done, of a run that has `total`.
     pub(crate) fn env_steps(self, total: u64) -> u64 {
         match self {
@@ -54,23 +54,23 @@ pub(crate) enum Ending {
 }
 
 /// The state of the run; does not check whether the folder holds this run.
-pub(crate) fn run_state(run: &PlannedRun) -> RunState {
+pub(crate) fn run_state(run: &PlannedRun) -> RunFolderState {
     if !RunFolder::holds_run(&run.folder) {
-        return RunState::New;
+        return RunFolderState::New;
     }
     let last = last_lines(&run_path::metrics_file(&run.folder));
     let finished =
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
     if last.iter().any(finished) {
-        return RunState::Finished;
+        return RunFolderState::Finished;
     }
     let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
-    RunState::Begun { env_steps: steps.max().unwrap_or(0) }
+    RunFolderState::Begun { env_steps: steps.max().unwrap_or(0) }
 }
 
 /// Whether the folder holds this run and it is finished.
 pub(crate) fn is_finished(run: &PlannedRun) -> bool {
-    run_state(run) == RunState::Finished && mismatch(run).is_none()
+    run_state(run) == RunFolderState::Finished && mismatch(run).is_none()
 }
 
 /// How the run in the folder differs from the planned one; `None` if it does not, or if there is none.
@@ -102,9 +102,11 @@ fn shown(run: &PlannedRun, record: &Record) -> String {
     }
     match (mismatch(run), run_state(run)) {
         (Some(why), _) => why,
-        (None, RunState::New) => "new".to_owned(),
-        (None, RunState::Begun { env_steps }) => format!("at {}", chart::thousands(env_steps)),
-        (None, RunState::Finished) => "finished".to_owned(),
+        (None, RunFolderState::New) => "new".to_owned(),
+        (None, RunFolderState::Begun { env_steps }) => {
+            format!("at {}", chart::thousands(env_steps))
+        }
+        (None, RunFolderState::Finished) => "finished".to_owned(),
     }
 }
 
@@ -129,18 +131,18 @@ mod tests {
     fn a_run_is_finished_when_the_evaluation_of_its_last_iteration_is_in() {
         let folder = tempfile::tempdir().unwrap();
         let run = run_in(folder.path());
-        assert_eq!(run_state(&run), RunState::New);
+        assert_eq!(run_state(&run), RunFolderState::New);
         std::fs::create_dir(&run.folder).unwrap();
         std::fs::write(run.folder.join("manifest.json"), "").unwrap();
-        assert_eq!(run_state(&run), RunState::Begun { env_steps: 0 });
+        assert_eq!(run_state(&run), RunFolderState::Begun { env_steps: 0 });
         let metrics = run.folder.join("metrics.jsonl");
         let begun = "{\"kind\": \"iteration\", \"iteration\": 8, \"env_steps\": 8000}\n{\"ki";
         std::fs::write(&metrics, begun).unwrap();
-        assert_eq!(run_state(&run), RunState::Begun { env_steps: 8000 });
+        assert_eq!(run_state(&run), RunFolderState::Begun { env_steps: 8000 });
         let last =
             "{\"kind\": \"evaluation\", \"iteration\": 8, \"env_steps\": 8000, \"mean\": 1}\n";
         std::fs::write(&metrics, last).unwrap();
-        assert_eq!(run_state(&run), RunState::Finished);
+        assert_eq!(run_state(&run), RunFolderState::Finished);
     }
 
     #[test]

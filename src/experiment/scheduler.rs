@@ -14,8 +14,8 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use super::plan::PlannedRun;
-use super::progress::Progress;
-use super::run_state::{Ending, RunState, is_finished, mismatch, run_state};
+use super::progress::ExperimentProgress;
+use super::run_state::{Ending, RunFolderState, is_finished, mismatch, run_state};
 use crate::run::process_log::ProcessLog;
 
 /// Poll interval for the progress of runs and for a locked log.
@@ -37,7 +37,7 @@ pub(crate) async fn run_all(
     runs: &[PlannedRun],
     at_once: usize,
     stop: watch::Receiver<bool>,
-    progress: &mut Progress,
+    progress: &mut ExperimentProgress,
 ) -> anyhow::Result<Tally> {
     let program = std::env::current_exe().context("cannot find this program")?;
     let mut tally = Tally::default();
@@ -103,7 +103,7 @@ async fn train(
     };
     let status = ended(&mut child, stopped).await.context("cannot wait for a run")?;
     Ok(match (status.success(), run_state(run)) {
-        (true, RunState::Finished) => Ending::Finished,
+        (true, RunFolderState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
         (false, _) => {
             Ending::Failed(format!("{}; its log is {}", own_log.cause(status), run.log().display()))
@@ -147,7 +147,7 @@ fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
     command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
     match run_state(run) {
-        RunState::New => command.arg(format!("run.dir={}", run.folder.display())),
+        RunFolderState::New => command.arg(format!("run.dir={}", run.folder.display())),
         // As one word, because the path may begin with `-`.
         _ => command.arg(format!("--resume={}", run.folder.display())),
     };

@@ -10,7 +10,7 @@ use crate::film::RobotShapes;
 /// All points of the picture's plane within the radius of the line between the ends: a capsule from any side, or a ball
 /// if the ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Solid {
+pub(super) struct ProjectedCapsule {
     /// In the picture's plane, metres: x, and z or y.
     pub(super) ends: [[f32; 2]; 2],
     /// Metres.
@@ -23,14 +23,14 @@ pub(super) struct Solid {
 
 /// Direction of view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum View {
+pub(super) enum ViewDirection {
     /// Along y.
     Side,
     /// Down along z.
     Above,
 }
 
-impl View {
+impl ViewDirection {
     /// A point of the world in the picture's plane, metres.
     pub(super) fn plane(self, [x, y, z]: [f32; 3]) -> [f32; 2] {
         match self {
@@ -49,16 +49,20 @@ impl View {
 }
 
 /// The solids of a pose, the farthest first.
-pub(super) fn solids(robot: &RobotShapes, pose: &Pose, view: View) -> Vec<Solid> {
+pub(super) fn solids(
+    robot: &RobotShapes,
+    pose: &Pose,
+    view: ViewDirection,
+) -> Vec<ProjectedCapsule> {
     let links = pose.links.iter().zip(&robot.drivers);
-    let mut solids: Vec<Solid> = links
+    let mut solids: Vec<ProjectedCapsule> = links
         .flat_map(|(link, &agent)| {
             let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.flat_map(|shape| shape.capsules()).map(move |capsule| {
                 let ends = capsule.ends.map(|end| link.in_world(end));
                 let (radius, depth) = (capsule.radius, ends.map(|end| view.depth(end)));
                 let (ends, depth) = (ends.map(|end| view.plane(end)), (depth[0] + depth[1]) / 2.0);
-                Solid { ends, radius, depth, agent }
+                ProjectedCapsule { ends, radius, depth, agent }
             })
         })
         .collect();
@@ -100,7 +104,7 @@ impl Camera {
 }
 
 /// Pixels per metre at which every frame's solids fit, given each frame's middle.
-pub(super) fn scale(frames: &[Vec<Solid>], middles: &[f32]) -> f32 {
+pub(super) fn scale(frames: &[Vec<ProjectedCapsule>], middles: &[f32]) -> f32 {
     let mut scale = LARGEST;
     for (solids, middle) in frames.iter().zip(middles) {
         for solid in solids {
@@ -129,7 +133,7 @@ pub(super) const SIGN: f32 = 9.0;
 const TICK: f32 = 8.0;
 
 /// One frame without its captions. `solids` are painted in their order.
-pub(super) fn panel(solids: &[Solid], camera: &Camera) -> Pixmap {
+pub(super) fn panel(solids: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
     let mut pixmap = sky();
     floor(&mut pixmap, camera);
     draw_all(&mut pixmap, solids, camera);
@@ -137,7 +141,7 @@ pub(super) fn panel(solids: &[Solid], camera: &Camera) -> Pixmap {
 }
 
 /// Solids alone, painted in their order.
-pub(super) fn panel_without_floor(solids: &[Solid], camera: &Camera) -> Pixmap {
+pub(super) fn panel_without_floor(solids: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
     let mut pixmap = sky();
     draw_all(&mut pixmap, solids, camera);
     pixmap
@@ -176,13 +180,13 @@ fn sky() -> Pixmap {
     pixmap
 }
 
-fn draw_all(pixmap: &mut Pixmap, solids: &[Solid], camera: &Camera) {
+fn draw_all(pixmap: &mut Pixmap, solids: &[ProjectedCapsule], camera: &Camera) {
     for solid in solids {
         draw(pixmap, solid, camera);
     }
 }
 
-fn draw(pixmap: &mut Pixmap, solid: &Solid, camera: &Camera) {
+fn draw(pixmap: &mut Pixmap, solid: &ProjectedCapsule, camera: &Camera) {
     let ends = solid.ends.map(|end| camera.pixel(end));
     let radius = solid.radius * camera.pixels_per_metre;
     let fill = colour(solid.agent);
@@ -248,7 +252,7 @@ mod tests {
     #[test]
     fn the_farthest_point_of_any_frame_decides_the_scale() {
         let ball = |x: f32, z: f32| {
-            vec![Solid { ends: [[x, z]; 2], radius: 0.5, depth: 0.0, agent: None }]
+            vec![ProjectedCapsule { ends: [[x, z]; 2], radius: 0.5, depth: 0.0, agent: None }]
         };
         let wide = scale(&[ball(0.0, 0.5), ball(12.3, 0.5)], &[0.0, 10.0]);
         assert!((wide - 184.0 / 2.8).abs() < 1e-3, "{wide}");

@@ -4,13 +4,13 @@
 use std::fmt;
 
 use anyhow::Context as _;
-use policy::{Key, PolicySnapshot};
+use policy::{DrawKey, PolicySnapshot};
 use proto::ActionChoice;
 use rollout::{PlayedStep, StepEvent};
 use sim::{EnvironmentBatch, Outcome, Pose, TaskConfig, World};
 
 use crate::errors::Usage;
-use crate::film::{Frame, RobotShapes};
+use crate::film::{RobotShapes, TimedPose};
 
 /// A whole episode.
 pub(crate) struct PlayedEpisode {
@@ -29,7 +29,7 @@ impl PlayedEpisode {
     pub(crate) fn play(
         task: &TaskConfig,
         policy: &PolicySnapshot,
-        key: Key,
+        key: DrawKey,
     ) -> anyhow::Result<Self> {
         let mut world = sim::environments(task, 1).context("cannot build the task")?;
         let Some(robot) = RobotShapes::of(&*world) else {
@@ -60,8 +60,8 @@ impl PlayedEpisode {
     }
 
     /// The pose after `step` steps.
-    pub(crate) fn frame(&self, step: usize) -> Frame<'_> {
-        Frame { time_secs: step as f64 * self.dt_secs, pose: &self.moments[step].pose }
+    pub(crate) fn frame(&self, step: usize) -> TimedPose<'_> {
+        TimedPose { time_secs: step as f64 * self.dt_secs, pose: &self.moments[step].pose }
     }
 
     /// One line with the return and the measures of the episode, and the reason of an early end.

@@ -46,7 +46,7 @@ fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
 fn a_link_is_drawn_where_it_is_and_nothing_far_from_it() {
     let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::solids(&robot, &pose, View::Side), &camera);
+    let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     // The ends of the left leg's middle line, then a point within its round upper end.
     for point in [[6.5, 0.2], [6.5, 0.8], [6.5, 0.88]] {
@@ -64,7 +64,7 @@ fn two_agents_have_two_colours_and_an_idle_link_a_third() {
     assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
     let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::solids(&robot, &pose, View::Side), &camera);
+    let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), colours[0]);
     assert_eq!(seen(&picture, &camera, [7.5, 0.5]), colours[1]);
 }
@@ -73,8 +73,10 @@ fn two_agents_have_two_colours_and_an_idle_link_a_third() {
 fn what_is_nearer_to_the_viewer_is_painted_later() {
     let (robot, mut pose) = two_legs();
     pose.links[1].position = [7.0, -1.0, 1.0];
-    let order: Vec<_> =
-        drawing::solids(&robot, &pose, View::Side).iter().map(|solid| solid.agent).collect();
+    let order: Vec<_> = drawing::solids(&robot, &pose, ViewDirection::Side)
+        .iter()
+        .map(|solid| solid.agent)
+        .collect();
     assert_eq!(order, [None, Some(1), Some(0)]);
 }
 
@@ -84,7 +86,7 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
     let half = core::f32::consts::FRAC_1_SQRT_2;
     robot.shapes[1].quaternion = [half, 0.0, 0.0, half];
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::solids(&robot, &pose, View::Side), &camera);
+    let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), drawing::colour(Some(0)));
     assert_eq!(seen(&picture, &camera, [6.5, 0.8]), seen(&empty, &camera, [6.5, 0.8]));
@@ -93,7 +95,8 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
 #[test]
 fn a_strip_is_as_large_as_it_says_and_shows_every_agent() {
     let (robot, pose) = two_legs();
-    let frames: Vec<_> = (0..5).map(|k| Frame { time_secs: f64::from(k), pose: &pose }).collect();
+    let frames: Vec<_> =
+        (0..5).map(|k| TimedPose { time_secs: f64::from(k), pose: &pose }).collect();
     let picture = Pixmap::decode_png(&strip(&robot, &frames).unwrap()).unwrap();
     assert_eq!((picture.width(), picture.height()), size(5, 2));
     for agent in [Some(0), Some(1), None] {

@@ -22,14 +22,14 @@ static STDOUT: OnceLock<Stdout> = OnceLock::new();
 static FAILURE: OnceLock<io::Error> = OnceLock::new();
 
 struct Stdout {
-    effect: Effect,
+    kind: CommandKind,
     /// Every write to a terminal that was closed fails.
     is_terminal: bool,
 }
 
 /// What a command does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Effect {
+pub(crate) enum CommandKind {
     /// It prints; without output it has nothing to do.
     Lines,
     /// It does more than print.
@@ -37,9 +37,9 @@ pub(crate) enum Effect {
 }
 
 /// Notes what the command does. Until then, and in tests, it counts as one that does more than print.
-pub(crate) fn start(effect: Effect) {
+pub(crate) fn start(kind: CommandKind) {
     let is_terminal = io::stdout().is_terminal();
-    STDOUT.get_or_init(|| Stdout { effect, is_terminal });
+    STDOUT.get_or_init(|| Stdout { kind, is_terminal });
 }
 
 /// Writes the text and a line break. If that fails, a command that only prints ends: with status 0 if the reader has
@@ -49,16 +49,16 @@ pub(crate) fn line(text: impl Display) {
     let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
     drop(stdout);
     let Err(why) = written else { return };
-    let stdout = STDOUT.get_or_init(|| Stdout { effect: Effect::Work, is_terminal: false });
+    let stdout = STDOUT.get_or_init(|| Stdout { kind: CommandKind::Work, is_terminal: false });
     let gone = stdout.is_terminal || why.kind() == ErrorKind::BrokenPipe;
-    match (stdout.effect, gone) {
-        (Effect::Lines, true) => exit(0),
-        (Effect::Lines, false) => {
+    match (stdout.kind, gone) {
+        (CommandKind::Lines, true) => exit(0),
+        (CommandKind::Lines, false) => {
             error(format!("error: {STDOUT_FAILED}: {why}"));
             exit(1)
         }
-        (Effect::Work, true) => {}
-        (Effect::Work, false) => drop(FAILURE.set(why)),
+        (CommandKind::Work, true) => {}
+        (CommandKind::Work, false) => drop(FAILURE.set(why)),
     }
 }
 

@@ -60,7 +60,7 @@ pub(crate) struct ResumeArguments {
 }
 
 /// A run that is ready to start.
-pub(crate) struct Prepared {
+pub(crate) struct PreparedRun {
     /// Its settings.
     pub(crate) config: RunConfig,
     /// Its folder.
@@ -77,7 +77,7 @@ pub(crate) fn prepare(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
     transport: &Transport,
-) -> anyhow::Result<Prepared> {
+) -> anyhow::Result<PreparedRun> {
     let mut config = configure(settings, resumed.resume.as_deref())?;
     let offered = Offered::of(&config, transport)?;
     config.demand_suitable(Some(&offered.spec))?;
@@ -106,7 +106,7 @@ pub(crate) fn prepare(
         message_sizes::fit(&mut config, &mut launch)?;
     }
     launch.validate().map_err(|error| Usage::new(error.to_string()))?;
-    Ok(Prepared { config, folder, launch, new })
+    Ok(PreparedRun { config, folder, launch, new })
 }
 
 /// As [`prepare`], but resumes the run in the configured folder if there is one, so that a learner can be restarted
@@ -115,7 +115,7 @@ pub(crate) fn prepare_or_resume(
     settings: &SettingsArguments,
     resumed: &ResumeArguments,
     transport: &Transport,
-) -> anyhow::Result<Prepared> {
+) -> anyhow::Result<PreparedRun> {
     let resume = match &resumed.resume {
         Some(folder) => Some(folder.clone()),
         None => run_in_place(settings)?,

@@ -89,14 +89,14 @@ fn offered_by(service: &EnvironmentService) -> Offered {
 }
 
 /// One environment of a run in this process.
-pub(crate) struct Stage {
+pub(crate) struct RunEnvironment {
     /// The environment.
     pub(crate) environment: Box<dyn EnvironmentBatch>,
     /// The network threads of an external environment.
     _network: Option<Runtime>,
 }
 
-impl Stage {
+impl RunEnvironment {
     /// Builds the environment or connects to the external program; refuses another environment than the run's.
     pub(crate) fn of(config: &RunConfig) -> anyhow::Result<Self> {
         let url = config.environment.url.as_str();

@@ -6,7 +6,7 @@ use tonic::transport::Endpoint;
 
 use crate::attackers::{Attacker, registration};
 use crate::learners::{Learner, inspect};
-use crate::usage::Usage;
+use crate::usage::ProcessUsage;
 
 const PEERS: usize = 200;
 /// Maximum memory of the learner per peer that reads nothing, mostly unsent data.
@@ -36,7 +36,7 @@ async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affec
         (folder.path().join("attacked"), folder.path().join("undisturbed"));
     let settings = SETTINGS.map(str::to_owned);
     let mut learner = Learner::start(&attacked, &settings);
-    let before = Usage::of(learner.process.id());
+    let before = ProcessUsage::of(learner.process.id());
     let mut first = Attacker::connect(&learner.url).await;
     let (run, weights) = (first.run.clone(), first.lease().await.weights);
     let peer = |_| tokio::spawn(peer(learner.url.clone(), run.clone(), weights));
@@ -45,7 +45,7 @@ async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affec
     for each in peers {
         held.push(each.await.unwrap());
     }
-    let during = Usage::of(learner.process.id());
+    let during = ProcessUsage::of(learner.process.id());
     assert!(during.descriptors <= before.descriptors + PEERS + 16, "{before:?}, {during:?}");
     assert!(
         during.resident_mib <= before.resident_mib + MOST_MIB_EACH * PEERS as u64,
@@ -53,7 +53,7 @@ async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affec
     );
     // Half of them disconnect, the others stay idle while a valid actor does the work.
     held.truncate(PEERS / 2);
-    while Usage::of(learner.process.id()).descriptors > before.descriptors + PEERS / 2 + 16 {
+    while ProcessUsage::of(learner.process.id()).descriptors > before.descriptors + PEERS / 2 + 16 {
         tokio::task::yield_now().await;
     }
     tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();

@@ -10,7 +10,7 @@ use tonic::transport::{Channel, Endpoint};
 use crate::UNDISTURBED;
 use crate::attackers::{Attacker, arbitrary_chunk, message, registration};
 use crate::learners::{Learner, inspect};
-use crate::usage::Usage;
+use crate::usage::ProcessUsage;
 
 /// Maximum growth of the learner's memory during a flood: 1,024 requests of 256 KiB, and overhead of the allocator.
 const MOST_MIB: u64 = 500;
@@ -94,13 +94,13 @@ async fn flood(url: String) -> Channel {
 async fn a_flood_of_large_requests_uses_bounded_memory() {
     let folder = tempfile::tempdir().unwrap();
     let mut learner = Learner::start(&folder.path().join("run"), &[]);
-    let before = Usage::of(learner.process.id());
+    let before = ProcessUsage::of(learner.process.id());
     let floods = (0..64).map(|_| tokio::spawn(flood(learner.url.clone()))).collect::<Vec<_>>();
     let mut most = before.resident_mib;
     let mut channels = Vec::new();
     for flood in floods {
         channels.push(flood.await.unwrap());
-        most = most.max(Usage::of(learner.process.id()).resident_mib);
+        most = most.max(ProcessUsage::of(learner.process.id()).resident_mib);
     }
     assert!(most <= before.resident_mib + MOST_MIB, "{most} MiB, {before:?}");
     assert!(is_healthy(&learner.url));

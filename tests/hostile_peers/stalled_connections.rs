@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::UNDISTURBED;
 use crate::http2_frames;
 use crate::learners::{Learner, inspect};
-use crate::usage::Usage;
+use crate::usage::ProcessUsage;
 
 const EACH: usize = 60;
 /// Maximum memory of the learner per stalled connection.
@@ -59,8 +59,8 @@ fn all_closed(connections: Vec<TcpStream>, begun: Instant) {
     }
 }
 
-fn uses_little(learner: &Learner, before: Usage, connections: usize) {
-    let during = Usage::of(learner.process.id());
+fn uses_little(learner: &Learner, before: ProcessUsage, connections: usize) {
+    let during = ProcessUsage::of(learner.process.id());
     let most = before.resident_mib as f64 + MOST_MIB_EACH * connections as f64;
     assert!(during.resident_mib as f64 <= most, "{before:?}, {during:?}");
     assert!(during.descriptors <= before.descriptors + connections + 16, "{before:?}, {during:?}");
@@ -71,13 +71,13 @@ fn stalled_connections_are_closed_in_time_and_the_run_continues() {
     let folder = tempfile::tempdir().unwrap();
     let attacked = folder.path().join("attacked");
     let mut learner = Learner::start(&attacked, &[]);
-    let before = Usage::of(learner.process.id());
+    let before = ProcessUsage::of(learner.process.id());
     let begun = Instant::now();
     let connections = stalled_connections(&learner.url, &first_bytes());
     uses_little(&learner, before, connections.len());
     all_closed(connections, begun);
     let deadline = Instant::now() + TIMEOUT;
-    while Usage::of(learner.process.id()).descriptors > before.descriptors + 8 {
+    while ProcessUsage::of(learner.process.id()).descriptors > before.descriptors + 8 {
         assert!(Instant::now() < deadline, "descriptors of closed connections are still open");
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -112,7 +112,7 @@ fn half_a_tls_handshake_is_closed_in_time() {
     ];
     let tls = tls.into_iter().flat_map(|(flag, path)| [flag.to_owned(), path]).collect::<Vec<_>>();
     let mut learner = Learner::start(&folder.path().join("run"), &tls);
-    let before = Usage::of(learner.process.id());
+    let before = ProcessUsage::of(learner.process.id());
     let begun = Instant::now();
     let connections = stalled_connections(&learner.url, &[Vec::new(), half_a_handshake()]);
     uses_little(&learner, before, connections.len());

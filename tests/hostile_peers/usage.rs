@@ -2,12 +2,12 @@
 
 /// Memory and descriptors of a process.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Usage {
+pub(crate) struct ProcessUsage {
     pub(crate) resident_mib: u64,
     pub(crate) descriptors: usize,
 }
 
-impl Usage {
+impl ProcessUsage {
     pub(crate) fn of(process: u32) -> Self {
         let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
         let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use policy::{Draw, Key, PolicySnapshot, Purpose, RunSeed};
+use policy::{Draw, DrawKey, PolicySnapshot, Purpose, RunSeed};
 use proto::wire::policy_service_client::PolicyServiceClient;
 use proto::{
     ActStep, Acted, ActionChoice, ActionDistribution, PolicyDescription, Reason, Refusal, wire,
@@ -63,7 +63,7 @@ impl Server {
 
 /// Resets to the first state of the evaluator's episode with this index, after two iterations.
 fn reset(world: &mut dyn EnvironmentBatch, episode: u32) {
-    let key = Key::of_evaluation(RunSeed(7), 2, episode);
+    let key = DrawKey::of_evaluation(RunSeed(7), 2, episode);
     let steps = world.description().episode_steps;
     world.reset(0, 0, steps, key.0).unwrap();
 }
@@ -172,7 +172,7 @@ async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
         rollout::play_episode(
             &mut *there,
             &snapshot,
-            (Key::of(RunSeed(7), draw), ActionChoice::Mean),
+            (DrawKey::of(RunSeed(7), draw), ActionChoice::Mean),
             keep,
         )
         .unwrap();

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::assert_none;
 use crate::markdown::table_rows;
 use crate::repository::{read, rust_files};
-use crate::rust_text::{Item, items};
+use crate::rust_text::{RustItem, items};
 
 /// The paper numbers its equations from 1 to 10.
 const EQUATIONS: std::ops::RangeInclusive<u32> = 1..=10;
@@ -54,11 +54,14 @@ fn not_built() -> Vec<(u32, String)> {
     cells.filter_map(|cells| Some((equation_at_start(&cells[0])?, cells[1].clone()))).collect()
 }
 
-fn items_by_file() -> BTreeMap<String, Vec<Item>> {
+fn items_by_file() -> BTreeMap<String, Vec<RustItem>> {
     rust_files().into_iter().map(|file| (file.path, items(&file.body))).collect()
 }
 
-fn find<'a>(all: &'a BTreeMap<String, Vec<Item>>, place: &(String, String)) -> Vec<&'a Item> {
+fn find<'a>(
+    all: &'a BTreeMap<String, Vec<RustItem>>,
+    place: &(String, String),
+) -> Vec<&'a RustItem> {
     let (path, name) = place;
     let name = name.rsplit("::").next().unwrap_or(name);
     all.get(path).into_iter().flatten().filter(|item| item.name == name).collect()

@@ -2,7 +2,7 @@
 //! comments stand above. It does not parse; strings that hold `//` are cut short, which no rule minds.
 
 /// An item with the doc comment directly above it.
-pub(crate) struct Item {
+pub(crate) struct RustItem {
     /// Name after `fn`, `struct`, `enum`, `trait`, `type` or `const`.
     pub(crate) name: String,
     /// Doc lines without their slashes, joined by newlines.
@@ -20,7 +20,7 @@ pub(crate) fn code_lines(body: &str) -> impl Iterator<Item = (usize, &str)> {
 }
 
 /// Every named item of a file with what stands above it.
-pub(crate) fn items(body: &str) -> Vec<Item> {
+pub(crate) fn items(body: &str) -> Vec<RustItem> {
     let mut found = Vec::new();
     let (mut doc, mut attributes) = (Vec::new(), String::new());
     for line in body.lines().map(str::trim) {
@@ -31,7 +31,7 @@ pub(crate) fn items(body: &str) -> Vec<Item> {
         } else {
             if let Some(name) = item_name(line) {
                 let is_test = attributes.contains("#[test]");
-                found.push(Item { name, doc: doc.join("\n"), is_test });
+                found.push(RustItem { name, doc: doc.join("\n"), is_test });
             }
             doc.clear();
             attributes.clear();

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fuzz::{TASKS, recording, small_policy, world};
-use policy::randomness::{Draw, Key, Purpose, RunSeed, generator};
+use policy::randomness::{Draw, DrawKey, Purpose, RunSeed, generator};
 use policy::{CoreKind, PolicySnapshot};
 use prost::Message;
 use proto::wire::play_response::Answer;
@@ -123,7 +123,7 @@ fn states() -> Vec<Seed> {
     let both = |(index, task): (u8, &str)| {
         let mut world = world(task);
         let mut states = vec![(Some(index), world.encode(0).expect("a robot at rest"))];
-        let key = Key::of(RunSeed(1), Draw::of(Purpose::Reset));
+        let key = DrawKey::of(RunSeed(1), Draw::of(Purpose::Reset));
         world.reset(0, 3, 40, key.0).expect("a known task");
         states.push((Some(index), world.encode(0).expect("a start")));
         states

@@ -16,7 +16,7 @@ use tokio::sync::{Notify, watch};
 use crate::config::{AuditConfig, LeaseConfig};
 use crate::lease::canary;
 use crate::lease::end_states::StateReader;
-use crate::lease::published::{Published, Weights};
+use crate::lease::published::{Published, PublishedVersions};
 use crate::lease::sample::SecretSample;
 use crate::lease::slots::{ConnectionId, Effect, Offer, SlotRules, SlotTable, Trust};
 use crate::observe::snapshot::RunSnapshot;
@@ -27,7 +27,7 @@ mod results;
 mod wake;
 
 pub use incidents::Caller;
-use incidents::{Names, Notice};
+use incidents::{ActorNames, Notice};
 use reporting::Pace;
 pub use reporting::{Storage, status_json};
 pub use wake::{ExchangeError, Wake};
@@ -61,12 +61,12 @@ pub struct Exchange {
 #[derive(Debug)]
 struct Shared {
     table: SlotTable,
-    weights: Weights,
+    weights: PublishedVersions,
     /// Bounded by what is open: one iteration, a few evaluations, one failure.
     wakes: VecDeque<Wake>,
     refusals: BTreeMap<String, u64>,
     chunks_accepted: u64,
-    names: Names,
+    names: ActorNames,
     /// Lines of the log that are written once the lock is free.
     notices: Vec<Notice>,
     pace: Pace,
@@ -92,11 +92,11 @@ impl Exchange {
         });
         let shared = Shared {
             table,
-            weights: Weights::default(),
+            weights: PublishedVersions::default(),
             wakes: VecDeque::new(),
             refusals: BTreeMap::new(),
             chunks_accepted: 0,
-            names: Names::default(),
+            names: ActorNames::default(),
             notices: Vec::new(),
             pace: Pace::default(),
         };

@@ -63,12 +63,12 @@ impl Published {
 
 /// Published versions that are still held.
 #[derive(Debug, Default)]
-pub(crate) struct Weights {
+pub(crate) struct PublishedVersions {
     held: BTreeMap<PolicyVersion, Arc<Published>>,
     latest: VecDeque<PolicyVersion>,
 }
 
-impl Weights {
+impl PublishedVersions {
     pub(crate) fn insert(&mut self, published: Published) {
         let version = published.name.version;
         self.held.insert(version, Arc::new(published));

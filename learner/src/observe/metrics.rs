@@ -15,7 +15,7 @@ use std::time::SystemTime;
 
 use serde_json::{Value, json};
 
-pub use self::curves::{Curve, Curves};
+pub use self::curves::{Curves, MetricCurve};
 use self::event_file::EventFile;
 use crate::observe::event::{EvaluationReport, IterationReport};
 use crate::store::durable::FileError;

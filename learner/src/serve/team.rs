@@ -9,7 +9,7 @@ use crate::lease::published::Published;
 
 /// All agents of one environment.
 #[derive(Debug)]
-pub(crate) struct Team {
+pub(crate) struct ServedAgents {
     weights: Arc<Published>,
     choice: ActionChoice,
     /// Episodes before the current one.
@@ -27,7 +27,7 @@ struct Member {
     steps: u32,
 }
 
-impl Team {
+impl ServedAgents {
     /// A team at the start of its first episode.
     pub(crate) fn new(weights: Arc<Published>, choice: ActionChoice) -> Self {
         let members = initial_members(&weights);

@@ -20,7 +20,7 @@ pub(crate) struct Provenance {
 
 /// Where one iteration's weights come from.
 #[derive(Debug)]
-pub(crate) struct Origin<'a> {
+pub(crate) struct WeightsOrigin<'a> {
     /// Finished iterations, this one included.
     pub(crate) iteration: u64,
     /// The weights with which actors rolled out.
@@ -50,7 +50,7 @@ impl Provenance {
     ///
     /// # Errors
     /// Names the file if it cannot be written.
-    pub(crate) fn iteration(&mut self, origin: &Origin<'_>) -> Result<(), FileError> {
+    pub(crate) fn iteration(&mut self, origin: &WeightsOrigin<'_>) -> Result<(), FileError> {
         self.lines.append(&json!({
             "iteration": origin.iteration,
             "behaviour": {

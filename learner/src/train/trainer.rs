@@ -12,14 +12,14 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use marl::{
-    Algorithm, Batch, LearningRateDecay, MarlError, ObservationMoments, Report, State as _,
+    Algorithm, Batch, LearningRateDecay, MarlError, ObservationMoments, Report, StoredState as _,
     Surprise,
 };
 use policy::arrays::NamedArrays;
 use proto::{Digest, PolicyVersion, WeightsName};
 use rayon::ThreadPool;
 
-use crate::config::Config;
+use crate::config::LearnerConfig;
 use crate::error::LearnerError;
 use crate::lease::end_states::StateReader;
 use crate::lease::exchange::Exchange;
@@ -32,7 +32,7 @@ use crate::train::assemble::assemble;
 use crate::train::environments::Environments;
 use crate::train::evaluation::{Evaluated, Evaluations};
 use crate::train::fail_points;
-use crate::train::provenance::{Origin, Provenance};
+use crate::train::provenance::{Provenance, WeightsOrigin};
 use crate::train::trainer::collect::{Collected, ProgressMonitor};
 use crate::train::trainer::divergence::Divergence;
 
@@ -41,7 +41,7 @@ pub type Observer = Box<dyn FnMut(&Event) + Send>;
 
 /// The state of a run between two iterations.
 pub struct Trainer {
-    pub(crate) config: Config,
+    pub(crate) config: LearnerConfig,
     pub(crate) config_sha256: Digest,
     /// The run's resolved settings.
     pub(crate) settings_toml: String,
@@ -340,7 +340,7 @@ impl Trainer {
     ) -> Result<(), LearnerError> {
         let weights = checkpoint::weights_sha256(&self.algorithm.weights()?);
         let density: NamedArrays = self.surprise.arrays()?;
-        self.provenance.iteration(&Origin {
+        self.provenance.iteration(&WeightsOrigin {
             iteration: self.iteration,
             behaviour,
             rollouts,

@@ -12,7 +12,7 @@ use proto::{
     Refusal, Work,
 };
 
-use crate::events::{ACTORS, Event, Key, MOST_IN_FLIGHT, Message, Packet, key};
+use crate::events::{ACTORS, LeaseKey, MOST_IN_FLIGHT, Message, Packet, SimulatedEvent, key};
 use crate::table::{CHUNKS, TTL, chunk, half_audited, honest, weights, works};
 
 const SLOTS: u32 = 3;
@@ -44,7 +44,7 @@ pub(crate) struct Cluster {
     /// The model: consumed slots, and the leases of each slot since the last restart.
     consumed: BTreeSet<(u64, u32)>,
     evaluated: BTreeSet<u64>,
-    finished: BTreeSet<Key>,
+    finished: BTreeSet<LeaseKey>,
     issued: BTreeMap<(u64, u32), Vec<Lease>>,
     /// The actors of this start of the learner, and those whose result of a slot is the accepted one.
     registered: BTreeMap<ActorId, usize>,
@@ -79,25 +79,25 @@ impl Cluster {
         cluster
     }
 
-    pub(crate) fn apply(&mut self, event: Event) {
+    pub(crate) fn apply(&mut self, event: SimulatedEvent) {
         match event {
-            Event::Act(index) => self.act(index),
-            Event::Heartbeat(index) => self.beat(index),
-            Event::Arrive(at) => self.arrive(at),
-            Event::ArriveTwice(at) => {
+            SimulatedEvent::Act(index) => self.act(index),
+            SimulatedEvent::Heartbeat(index) => self.beat(index),
+            SimulatedEvent::Arrive(at) => self.arrive(at),
+            SimulatedEvent::ArriveTwice(at) => {
                 let again = self.network.get(at).cloned();
                 self.arrive(at);
                 self.network.extend(again);
             }
-            Event::Lose(at) if at < self.network.len() => drop(self.network.remove(at)),
-            Event::Lose(_) => {}
-            Event::Kill(index) => self.kill(index),
-            Event::Freeze(index) => self.actors[index].frozen = true,
-            Event::Thaw(index) => self.actors[index].frozen = false,
-            Event::Join(index) => self.join(index),
-            Event::Learn => self.learn(),
-            Event::Restart => self.restart(),
-            Event::Pass(tenths) => self.now += TTL * tenths / 10,
+            SimulatedEvent::Lose(at) if at < self.network.len() => drop(self.network.remove(at)),
+            SimulatedEvent::Lose(_) => {}
+            SimulatedEvent::Kill(index) => self.kill(index),
+            SimulatedEvent::Freeze(index) => self.actors[index].frozen = true,
+            SimulatedEvent::Thaw(index) => self.actors[index].frozen = false,
+            SimulatedEvent::Join(index) => self.join(index),
+            SimulatedEvent::Learn => self.learn(),
+            SimulatedEvent::Restart => self.restart(),
+            SimulatedEvent::Pass(tenths) => self.now += TTL * tenths / 10,
         }
         self.table.tick(self.now);
         self.take_effects();
@@ -378,18 +378,18 @@ impl Cluster {
     /// consumed exactly once.
     pub(crate) fn settle(&mut self) {
         let target = self.iteration + 3;
-        (0..ACTORS).for_each(|index| self.apply(Event::Thaw(index)));
+        (0..ACTORS).for_each(|index| self.apply(SimulatedEvent::Thaw(index)));
         let mut rounds = 0;
         while self.iteration < target {
             for index in 0..ACTORS {
-                self.apply(Event::Join(index));
-                self.apply(Event::Act(index));
+                self.apply(SimulatedEvent::Join(index));
+                self.apply(SimulatedEvent::Act(index));
             }
             while !self.network.is_empty() {
-                self.apply(Event::Arrive(0));
+                self.apply(SimulatedEvent::Arrive(0));
             }
-            self.apply(Event::Learn);
-            self.apply(Event::Pass(1));
+            self.apply(SimulatedEvent::Learn);
+            self.apply(SimulatedEvent::Pass(1));
             rounds += 1;
             assert!(rounds < 500, "the run makes no progress: {:?}", self.table);
         }

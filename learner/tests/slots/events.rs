@@ -10,7 +10,7 @@ pub(crate) const MOST_IN_FLIGHT: usize = 48;
 
 /// An event. Numbers are indices of actors or of messages in transit.
 #[derive(Clone, Debug)]
-pub(crate) enum Event {
+pub(crate) enum SimulatedEvent {
     /// An actor takes its next step: it requests work or sends a result.
     Act(usize),
     /// An actor sends a heartbeat.
@@ -38,9 +38,9 @@ pub(crate) enum Event {
 }
 
 /// Identifies a lease across restarts of the learner.
-pub(crate) type Key = (Incarnation, LeaseId);
+pub(crate) type LeaseKey = (Incarnation, LeaseId);
 
-pub(crate) fn key(lease: &Lease) -> Key {
+pub(crate) fn key(lease: &Lease) -> LeaseKey {
     (lease.incarnation, lease.id)
 }
 
@@ -52,8 +52,8 @@ pub(crate) enum Message {
     Episode(Lease),
     Beat(Heartbeat),
     Offered(Offer),
-    Acknowledged { lease: Key, sequence: u32, finished: bool },
-    Ended(Key),
+    Acknowledged { lease: LeaseKey, sequence: u32, finished: bool },
+    Ended(LeaseKey),
     Unknown,
 }
 

@@ -17,12 +17,12 @@ use proto::{
 use crate::toy;
 
 /// Running actor threads.
-pub(crate) struct Actors {
+pub(crate) struct ActorThreads {
     threads: Vec<JoinHandle<()>>,
     stop: Arc<AtomicBool>,
 }
 
-impl Actors {
+impl ActorThreads {
     /// Starts an actor on each of these connections.
     pub(crate) fn start(connections: Range<u64>, exchange: &Arc<Exchange>) -> Self {
         let stop = Arc::new(AtomicBool::new(false));

@@ -9,7 +9,7 @@ use learner::lease::exchange::Exchange;
 use learner::observe::event::Event;
 use learner::train::trainer::Outside;
 
-use crate::actor::Actors;
+use crate::actor::ActorThreads;
 use crate::settings::launch_in;
 use crate::{lines, train};
 
@@ -58,7 +58,7 @@ fn threads_that_join_later_get_slots_from_the_next_iteration_on_and_change_no_re
     let (join, all) = (Arc::clone(&exchange), Arc::clone(&actors));
     let observer = Box::new(move |event: &Event| {
         if matches!(event, Event::Iteration(report) if report.iteration == 2) {
-            all.lock().unwrap().push(Actors::start(1..8, &join));
+            all.lock().unwrap().push(ActorThreads::start(1..8, &join));
             while join.threads() < 8 {
                 std::thread::yield_now();
             }
@@ -66,10 +66,10 @@ fn threads_that_join_later_get_slots_from_the_next_iteration_on_and_change_no_re
     });
     let outside = Outside { exchange: Arc::clone(&exchange), observer, stop: Box::new(|| false) };
     let running = trainer.begin(outside).unwrap();
-    actors.lock().unwrap().push(Actors::start(0..1, &exchange));
+    actors.lock().unwrap().push(ActorThreads::start(0..1, &exchange));
     let summary = running.train().unwrap();
     exchange.finish();
-    std::mem::take(&mut *actors.lock().unwrap()).into_iter().for_each(Actors::end);
+    std::mem::take(&mut *actors.lock().unwrap()).into_iter().for_each(ActorThreads::end);
     // No actor is connected when the first iteration opens; then one thread is, then eight.
     assert_eq!(cuts(joined.path()), [(30, 1), (3, 10), (3, 10), (30, 1), (30, 1)]);
     assert_eq!(summary.state_sha256, expected.state_sha256);

@@ -25,7 +25,7 @@ use learner::store::run_folder::RunFolderError;
 use learner::train::trainer::Outside;
 use serde_json::Value;
 
-use actor::Actors;
+use actor::ActorThreads;
 use settings::{launch_in, resumed};
 
 /// Trains with `actors` actors; stops after the first event for which `enough` is true.
@@ -57,7 +57,7 @@ fn try_to_train(
     let stop = Box::new(move || stops.load(Ordering::Relaxed) > 0);
     let running =
         trainer.begin(Outside { exchange: Arc::clone(&exchange), observer, stop }).unwrap();
-    let actors = Actors::start(0..actors, &exchange);
+    let actors = ActorThreads::start(0..actors, &exchange);
     let summary = running.train();
     exchange.finish();
     actors.end();

@@ -6,8 +6,8 @@ mod small;
 use std::path::Path;
 
 use learner::config::{
-    AuditConfig, CheckpointConfig, Config, EnvironmentsConfig, EvaluationConfig, Fingerprint,
-    LeaseConfig, Phase, ThreadsConfig,
+    AuditConfig, CheckpointConfig, EnvironmentsConfig, EvaluationConfig, Fingerprint,
+    LearnerConfig, LeaseConfig, Phase, ThreadsConfig,
 };
 use learner::launch::Launch;
 use marl::SurpriseConfig;
@@ -47,8 +47,8 @@ pub(crate) fn resumed(launch: Launch) -> Launch {
     Launch { resume: true, ..launch }
 }
 
-fn config() -> Config {
-    Config {
+fn config() -> LearnerConfig {
+    LearnerConfig {
         environments: EnvironmentsConfig {
             count: 4,
             steps: 8,
@@ -65,7 +65,7 @@ fn config() -> Config {
 }
 
 /// Density and critic are those with the largest state.
-fn training() -> marl::Config {
+fn training() -> marl::TrainingConfig {
     let mut training = small::config(Rule::Happo);
     training.critic.core = CriticCore::Gru;
     training.surprise = SurpriseConfig { alpha: 0.01, density: DensityKind::Vae };

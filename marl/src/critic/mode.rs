@@ -1,6 +1,6 @@
 //! The rewards that the critic values, and each agent's advantage.
 
-use crate::config::Config;
+use crate::config::TrainingConfig;
 use crate::data::batch::Rewards;
 
 /// The returns that are valued.
@@ -15,7 +15,7 @@ pub(crate) enum CriticMode {
 
 impl CriticMode {
     /// The returns that differ with these settings.
-    pub(crate) fn of(config: &Config) -> Self {
+    pub(crate) fn of(config: &TrainingConfig) -> Self {
         if config.surprise.alpha == 0.0 { Self::Team } else { Self::PerAgent }
     }
 

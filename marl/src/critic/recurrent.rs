@@ -12,13 +12,13 @@ use policy::ops::{RecurrentInput, Weights};
 
 use super::Critic;
 use crate::data::batch::Batch;
-use crate::data::sequence::{Layout, mask};
+use crate::data::sequence::{ChunkLayout, mask};
 use crate::error::MarlError;
 use crate::optimisation::gradient::numbers;
 use crate::optimisation::layers::rows;
 use crate::optimisation::shards::{self, shards};
 use crate::shape::assert_shape;
-use crate::state::{Elements, Shape, Visitor};
+use crate::state::{ArrayShape, Elements, Visitor};
 
 /// Recurrent states between two rollouts.
 #[derive(Clone, Debug)]
@@ -63,8 +63,8 @@ impl Memory {
     }
 
     /// Chunks of `batch`.
-    pub(super) fn layout(&self, batch: &Batch) -> Layout {
-        Layout::of(batch, self.chunk_steps)
+    pub(super) fn layout(&self, batch: &Batch) -> ChunkLayout {
+        ChunkLayout::of(batch, self.chunk_steps)
     }
 
     /// State before the first step of `environments` environments, `[B, H]`.
@@ -92,13 +92,13 @@ impl Memory {
 
     /// Visits the carried states, `[B, H]`; `[0, H]` before the first rollout.
     pub(super) fn visit(&mut self, name: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
-        visitor.array(name, Shape::Rows(&[self.width]), Elements::F32(&mut self.carried))
+        visitor.array(name, ArrayShape::Rows(&[self.width]), Elements::F32(&mut self.carried))
     }
 }
 
 impl Unrolled {
     /// From the states after every row, `[T * B, H]`, and those before the rollout, `start`, `[B, H]`.
-    fn new(batch: &Batch, layout: Layout, states: &[f32], start: &[f32]) -> Self {
+    fn new(batch: &Batch, layout: ChunkLayout, states: &[f32], start: &[f32]) -> Self {
         let (count, rows) = (batch.environments, batch.rows());
         assert_shape("states", states.len() * count, start.len() * rows);
         let width = start.len() / count;
@@ -123,7 +123,7 @@ impl Unrolled {
     /// If a tensor operation fails.
     pub(super) fn start(
         &self,
-        layout: Layout,
+        layout: ChunkLayout,
         columns: &[usize],
     ) -> Result<SequenceStart, MarlError> {
         let width = self.width;
@@ -154,7 +154,7 @@ impl SequenceStart {
 
 /// Sequences of equal length: `L` steps of `C` sequences, rows `l * C + c`.
 struct Run<'a> {
-    layout: Layout,
+    layout: ChunkLayout,
     /// The critic's input before scaling, `[L, C, S]`.
     rows: &'a [f32],
     /// Before the first step, `[C, H]`.
@@ -177,7 +177,7 @@ impl Critic {
     ) -> Result<(Vec<f64>, Vec<f64>, Unrolled), MarlError> {
         let weights = self.layers.constant_weights()?;
         let (start, width) = (memory.start(batch.environments)?, memory.width);
-        let layout = Layout::of(batch, batch.steps);
+        let layout = ChunkLayout::of(batch, batch.steps);
         let mask = mask(batch, layout);
         let whole = Run { layout, rows: &batch.state, start: &start, mask: &mask };
         let (normalized, states) = self.run(&weights, &whole, width)?;
@@ -186,7 +186,7 @@ impl Critic {
             batch.finals.iter().map(|last| last.step * batch.environments + last.environment);
         let before: Vec<f32> = ends.flat_map(of_final).copied().collect();
         let count = batch.finals.len();
-        let layout = Layout { steps: 1, chunks: count, environments: count };
+        let layout = ChunkLayout { steps: 1, chunks: count, environments: count };
         let mask = vec![1.0; count];
         let once = Run { layout, rows: finals, start: &before, mask: &mask };
         let (finals, _) = self.run(&weights, &once, width)?;

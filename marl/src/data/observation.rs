@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::data::batch::{Batch, Problem};
 use crate::data::running::RunningMoments;
 use crate::error::MarlError;
-use crate::state::{State, Visitor};
+use crate::state::{StoredState, Visitor};
 
 /// How the learner scales observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,7 +71,7 @@ impl ObservationMoments {
     }
 }
 
-impl State for ObservationMoments {
+impl StoredState for ObservationMoments {
     fn prefixes(&self) -> &'static [&'static str] {
         &["observation/"]
     }

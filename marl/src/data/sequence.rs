@@ -13,7 +13,7 @@ use crate::error::MarlError;
 
 /// Mapping of `T x B` rows to `L x C` chunked rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Layout {
+pub struct ChunkLayout {
     /// `L`, steps per chunk.
     pub steps: usize,
     /// `C`, chunks.
@@ -22,7 +22,7 @@ pub struct Layout {
     pub environments: usize,
 }
 
-impl Layout {
+impl ChunkLayout {
     /// Layout of `batch` in chunks of `chunk_steps` steps, a divisor of the batch's steps.
     #[must_use]
     pub fn of(batch: &Batch, chunk_steps: usize) -> Self {
@@ -114,7 +114,7 @@ impl Layout {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sequences {
     /// Mapping of rows to chunks.
-    pub layout: Layout,
+    pub layout: ChunkLayout,
     /// Observations, `[L, C, obs]`.
     pub observation: Vec<f32>,
     /// Actions taken, `[L, C, act]`.
@@ -129,7 +129,7 @@ pub(crate) struct Sequences {
 
 impl Sequences {
     /// Chunks of agent `agent` of `batch`; `hidden` is the size `H` of its recurrent state.
-    pub(crate) fn of(batch: &Batch, agent: usize, layout: Layout, hidden: usize) -> Self {
+    pub(crate) fn of(batch: &Batch, agent: usize, layout: ChunkLayout, hidden: usize) -> Self {
         let data = &batch.agents[agent];
         let observation = data.observation.len() / batch.rows();
         let action: Vec<f64> = data.action.iter().map(|&a| f64::from(a)).collect();
@@ -167,7 +167,7 @@ impl Sequences {
 }
 
 /// As [`Sequences::mask`].
-pub(crate) fn mask(batch: &Batch, layout: Layout) -> Vec<f32> {
+pub(crate) fn mask(batch: &Batch, layout: ChunkLayout) -> Vec<f32> {
     let mut mask = vec![1.0; layout.rows()];
     for step in 1..layout.steps {
         for chunk in 0..layout.chunks {
@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn chunks_contain_their_environments_steps_in_order() {
         let batch = numbered();
-        let sequences = Sequences::of(&batch, 0, Layout::of(&batch, 2), 1);
+        let sequences = Sequences::of(&batch, 0, ChunkLayout::of(&batch, 2), 1);
         assert_eq!(sequences.observation, vec![0., 1., 4., 5., 2., 3., 6., 7.]);
         let input = sequences.input(&[1, 2]).expect("shapes fit");
         let rows = input.observation.to_vec2::<f32>().expect("two axes");
@@ -216,13 +216,13 @@ mod tests {
     #[test]
     fn the_recurrent_state_is_reset_inside_a_chunk_and_never_at_its_start() {
         let batch = numbered();
-        let sequences = Sequences::of(&batch, 0, Layout::of(&batch, 2), 1);
+        let sequences = Sequences::of(&batch, 0, ChunkLayout::of(&batch, 2), 1);
         assert_eq!(sequences.mask, vec![1., 1., 1., 1., 0., 1., 1., 1.]);
     }
 
     #[test]
     fn the_order_of_rows_is_found_from_unequal_parts() {
-        let layout = Layout { steps: 3, chunks: 6, environments: 2 };
+        let layout = ChunkLayout { steps: 3, chunks: 6, environments: 2 };
         let data: Vec<usize> = (0..18).collect();
         let parts = [0..1, 1..4, 4..6];
         let part =
@@ -235,7 +235,7 @@ mod tests {
     #[test]
     fn scatter_inverts_columns() {
         let batch = numbered();
-        let layout = Layout::of(&batch, 2);
+        let layout = ChunkLayout::of(&batch, 2);
         let data = layout.chunked(&(0..8).collect::<Vec<i32>>(), 1);
         let mut back = vec![-1; 8];
         for columns in [vec![3, 0], vec![1, 2]] {

@@ -7,7 +7,7 @@ use libm::log;
 use super::moments::Moments;
 use crate::density::{Density, DensityContext, Observations};
 use crate::error::MarlError;
-use crate::state::{Elements, Shape, Visitor};
+use crate::state::{ArrayShape, Elements, Visitor};
 
 /// Laplace smoothing: every value, and all unseen values together, count once more. An unseen value thus has a
 /// probability, and log-probabilities are finite.
@@ -15,7 +15,7 @@ const SMOOTHING: f64 = 1.0;
 
 /// Counts of each feature's values. The moments only determine which features vary.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Categorical {
+pub(crate) struct CategoricalDensity {
     moments: Moments,
     /// Per signal feature, in ascending order of values.
     counts: Vec<BTreeMap<u32, i64>>,
@@ -23,7 +23,7 @@ pub(crate) struct Categorical {
     rows: i64,
 }
 
-impl Categorical {
+impl CategoricalDensity {
     /// A density without counts.
     pub(super) fn new(moments: Moments) -> Self {
         let counts = vec![BTreeMap::new(); moments.signals()];
@@ -48,7 +48,7 @@ fn order(value: f32) -> u32 {
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
 }
 
-impl Density for Categorical {
+impl Density for CategoricalDensity {
     fn fit(
         &mut self,
         observations: Observations<'_>,
@@ -87,7 +87,7 @@ impl Density for Categorical {
         for (i, table) in self.counts.iter_mut().enumerate() {
             let pairs = table.iter().flat_map(|(&value, &count)| [i64::from(value), count]);
             let (name, mut pairs) = (format!("{prefix}counts_{i}"), pairs.collect::<Vec<i64>>());
-            visitor.array(&name, Shape::Rows(&[2]), Elements::I64(&mut pairs))?;
+            visitor.array(&name, ArrayShape::Rows(&[2]), Elements::I64(&mut pairs))?;
             *table = pairs.chunks_exact(2).map(|pair| (pair[0] as u32, pair[1])).collect();
         }
         self.rows = self.counts.first().map_or(0, |table| table.values().sum());

@@ -5,7 +5,7 @@ use libm::{log, sqrt};
 
 use crate::density::Observations;
 use crate::error::MarlError;
-use crate::state::{Elements, Shape, Visitor, visit_numbers};
+use crate::state::{ArrayShape, Elements, Visitor, visit_numbers};
 
 /// Lower bound of a feature's standard deviation, in units of the feature. Without it, a feature that hardly varies would
 /// dominate the log-density.
@@ -96,7 +96,7 @@ impl Moments {
         visit_numbers(visitor, &format!("{prefix}sigma"), &mut self.sigma)?;
         let mut active: Vec<i64> = self.active.iter().map(|&a| i64::from(a)).collect();
         let (name, shape) = (format!("{prefix}active"), [active.len()]);
-        visitor.array(&name, Shape::Fixed(&shape), Elements::I64(&mut active))?;
+        visitor.array(&name, ArrayShape::Fixed(&shape), Elements::I64(&mut active))?;
         self.active = active.into_iter().map(|a| a == 1).collect();
         Ok(())
     }

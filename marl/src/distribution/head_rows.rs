@@ -7,7 +7,7 @@ use policy::Distribution;
 
 use super::{CategoricalRow, GaussianRow, Row, RowDistribution, RowGradient};
 use crate::data::batch::ActionKind;
-use crate::data::sequence::Layout;
+use crate::data::sequence::ChunkLayout;
 use crate::error::MarlError;
 use crate::optimisation::gradient::{self, OutputGradient, numbers};
 use crate::shape::assert_shape;
@@ -178,7 +178,7 @@ impl HeadRows {
 
     /// Rows of the chunks `columns`, from chunked rows `[L, C]`.
     #[must_use]
-    pub fn columns(&self, layout: Layout, columns: &[usize]) -> Self {
+    pub fn columns(&self, layout: ChunkLayout, columns: &[usize]) -> Self {
         self.with_outputs(layout.columns(&self.outputs, self.width(), columns))
     }
 
@@ -186,7 +186,7 @@ impl HeadRows {
     ///
     /// # Panics
     /// If `parts` is empty.
-    pub(crate) fn gathered(parts: &[Self], layout: Layout, chunks: &[Range<usize>]) -> Self {
+    pub(crate) fn gathered(parts: &[Self], layout: ChunkLayout, chunks: &[Range<usize>]) -> Self {
         let width = parts[0].width();
         let mut all = vec![0.0; layout.rows() * width];
         for (part, chunks) in parts.iter().zip(chunks) {

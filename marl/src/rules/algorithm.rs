@@ -4,7 +4,7 @@ use policy::{NamedArrays, PolicySnapshot};
 
 use crate::data::batch::{Batch, Rewards};
 use crate::error::MarlError;
-use crate::state::State;
+use crate::state::StoredState;
 
 /// Named metrics of an update, in a fixed order.
 pub type Report = Vec<(String, f64)>;
@@ -14,7 +14,7 @@ pub(crate) const PREFIXES: [&str; 5] =
     ["weights/", "optimizer/", "normalizer/", "memory/", "replay/"];
 
 /// A learning rule, which updates policies from rollout data. Its state is that of the next update.
-pub trait Algorithm: State + Send {
+pub trait Algorithm: StoredState + Send {
     /// Sets the fraction of the configured learning rates of actors and critics for the next updates. It is not part of
     /// the stored state, so the caller sets it before every [`Algorithm::update`].
     fn scale_learning_rates(&mut self, share: f64);

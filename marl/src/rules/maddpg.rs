@@ -11,13 +11,13 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{PolicyConfig, PolicySnapshot};
 use rayon::prelude::*;
 
-use crate::config::{Config, MaddpgConfig};
+use crate::config::{MaddpgConfig, TrainingConfig};
 use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
 use crate::error::MarlError;
 use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
-use crate::rules::maddpg::agent::{Agent, Figures};
-use crate::rules::maddpg::replay::{Horizon, Replay};
-use crate::state::{State, Visitor};
+use crate::rules::maddpg::agent::{MaddpgAgent, StepMetrics};
+use crate::rules::maddpg::replay::{NStepHorizon, Replay};
+use crate::state::{StoredState, Visitor};
 
 /// MADDPG with one action value per agent.
 pub(crate) struct Maddpg {
@@ -26,7 +26,7 @@ pub(crate) struct Maddpg {
     problem: Problem,
     chunk_steps: usize,
     seed: RunSeed,
-    agents: Vec<Agent>,
+    agents: Vec<MaddpgAgent>,
     replay: Replay,
 }
 
@@ -36,13 +36,13 @@ impl Maddpg {
     /// # Errors
     /// If a tensor operation fails.
     pub(crate) fn new(
-        config: &Config,
+        config: &TrainingConfig,
         policy: &PolicyConfig,
         problem: &Problem,
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let agents = (0..problem.agents.len())
-            .map(|index| Agent::new(config, policy, problem, seed, index))
+            .map(|index| MaddpgAgent::new(config, policy, problem, seed, index))
             .collect::<Result<_, _>>()?;
         Ok(Self {
             replay: Replay::new(problem, config.maddpg.replay),
@@ -62,8 +62,8 @@ impl Maddpg {
     }
 
     /// One optimiser step of every agent, all with the same transitions.
-    fn learn(&mut self, draw: Draw) -> Result<Vec<Figures>, MarlError> {
-        let horizon = Horizon { gamma: self.gamma, steps: self.config.n_step };
+    fn learn(&mut self, draw: Draw) -> Result<Vec<StepMetrics>, MarlError> {
+        let horizon = NStepHorizon { gamma: self.gamma, steps: self.config.n_step };
         let mut rng = generator(self.seed, draw);
         let sample = self.replay.sample(self.config.batch, horizon, &mut rng);
         let next = self.agents.par_iter().map(|agent| agent.next_actions(&sample));
@@ -71,7 +71,7 @@ impl Maddpg {
         self.agents.par_iter_mut().map(|agent| agent.learn(&sample, &next)).collect()
     }
 
-    fn report(&self, updates: u64, sums: &[Figures]) -> Report {
+    fn report(&self, updates: u64, sums: &[StepMetrics]) -> Report {
         let mut report = vec![
             ("replay/transitions".to_owned(), self.replay.len() as f64),
             ("replay/updates".to_owned(), updates as f64),
@@ -112,7 +112,7 @@ impl Algorithm for Maddpg {
         // Without surprise every agent's reward is the team's, which the replay stores once.
         self.replay.add(batch)?;
         let updates = self.due(self.replay.rows_added()) - self.due(before);
-        let mut sums = vec![Figures::default(); self.agents.len()];
+        let mut sums = vec![StepMetrics::default(); self.agents.len()];
         for step in 0..updates {
             let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step as u32);
             for (sum, figures) in sums.iter_mut().zip(self.learn(draw)?) {
@@ -125,7 +125,7 @@ impl Algorithm for Maddpg {
     }
 
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
-        let agents = self.agents.iter().map(Agent::policy).collect::<Result<Vec<_>, _>>()?;
+        let agents = self.agents.iter().map(MaddpgAgent::policy).collect::<Result<Vec<_>, _>>()?;
         let warming_up = self.replay.rows_added() < self.config.warm_up;
         let agents = if warming_up {
             agents.into_iter().map(policy::ActorPolicy::uniform).collect()
@@ -136,7 +136,7 @@ impl Algorithm for Maddpg {
     }
 }
 
-impl State for Maddpg {
+impl StoredState for Maddpg {
     fn prefixes(&self) -> &'static [&'static str] {
         &PREFIXES
     }

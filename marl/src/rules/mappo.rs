@@ -9,7 +9,7 @@ use crate::error::MarlError;
 use crate::rules::algorithm::Report;
 use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{
-    AgentInputs, PolicyChange, Trained, maximise, maximise_together, policy_change,
+    AgentInputs, AscentMetrics, PolicyChange, maximise, maximise_together, policy_change,
 };
 use crate::rules::on_policy::{PolicyUpdate, Prepared, agent_report};
 
@@ -60,7 +60,7 @@ fn update_jointly(
     agents: &mut [Agent],
     prepared: &Prepared,
     (seed, iteration): (RunSeed, u64),
-) -> Result<Vec<Trained>, MarlError> {
+) -> Result<Vec<AscentMetrics>, MarlError> {
     let factor = vec![1.0; prepared.experience[0].log_prob.len()];
     let draw = |agent: usize| Draw::of(Purpose::Minibatch).iteration(iteration).agent(agent as u32);
     match agents[0].update.parameters {

@@ -13,10 +13,10 @@ use policy::{Head, PolicyConfig, PolicySnapshot, RunSeed};
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use crate::config::{Config, Sharing};
+use crate::config::{Sharing, TrainingConfig};
 use crate::critic::{Critic, CriticFigures, CriticMode, Values, explained_variance};
 use crate::data::batch::{Batch, Problem, Rewards};
-use crate::data::sequence::Layout;
+use crate::data::sequence::ChunkLayout;
 use crate::distribution::gaussian;
 use crate::error::MarlError;
 use crate::objective::actor_loss::Figures;
@@ -25,9 +25,9 @@ use crate::objective::surrogate::normalized_advantage;
 use crate::rounding::rounded;
 use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
 use crate::rules::on_policy::agent::Agent;
-use crate::rules::on_policy::ascent::{AgentInputs, PolicyChange, Trained};
+use crate::rules::on_policy::ascent::{AgentInputs, AscentMetrics, PolicyChange};
 use crate::rules::on_policy::experience::{Experience, Influence};
-use crate::state::{State, Visitor};
+use crate::state::{StoredState, Visitor};
 
 /// A rule's update of the policies. The rest of an update is the same for all on-policy rules.
 pub(crate) trait PolicyUpdate: Send + Sync {
@@ -56,7 +56,7 @@ impl<R: PolicyUpdate> OnPolicy<R> {
     /// If a tensor operation fails.
     pub(crate) fn new(
         rule: R,
-        config: &Config,
+        config: &TrainingConfig,
         policy: &PolicyConfig,
         problem: &Problem,
         seed: RunSeed,
@@ -97,7 +97,7 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
     }
 }
 
-impl<R: PolicyUpdate> State for OnPolicy<R> {
+impl<R: PolicyUpdate> StoredState for OnPolicy<R> {
     fn prefixes(&self) -> &'static [&'static str] {
         &PREFIXES
     }
@@ -109,7 +109,7 @@ impl<R: PolicyUpdate> State for OnPolicy<R> {
 
 /// All agents and the critic.
 pub(crate) struct Team {
-    pub(crate) config: Config,
+    pub(crate) config: TrainingConfig,
     problem: Problem,
     chunk_steps: usize,
     pub(crate) seed: RunSeed,
@@ -153,7 +153,7 @@ impl Team {
     /// # Errors
     /// If a tensor operation fails.
     pub(crate) fn new(
-        config: &Config,
+        config: &TrainingConfig,
         policy: &PolicyConfig,
         problem: &Problem,
         seed: RunSeed,
@@ -194,7 +194,7 @@ impl Team {
     ) -> Result<Option<Prepared>, MarlError> {
         let hidden: Vec<usize> = self.agents.iter().map(Agent::hidden_size).collect();
         batch.check(&self.problem, self.chunk_steps, &hidden)?;
-        let layout = Layout::of(batch, self.chunk_steps);
+        let layout = ChunkLayout::of(batch, self.chunk_steps);
         let values = trace_span!("values").in_scope(|| self.critic.values(batch))?;
         self.critic.carry(&values);
         let valued = || self.advantages(batch, rewards, &values);
@@ -280,7 +280,7 @@ pub(crate) fn agent_report(
     agent: &Agent,
     index: usize,
     experience: &Experience,
-    trained: &Trained,
+    trained: &AscentMetrics,
     change: &PolicyChange,
 ) -> Result<Report, MarlError> {
     let figures = &trained.figures;

@@ -17,13 +17,13 @@ const RULES: [(Rule, Sharing); 3] = [
     (Rule::Mappo, Sharing::Shared),
 ];
 
-fn config((rule, sharing): (Rule, Sharing)) -> Config {
+fn config((rule, sharing): (Rule, Sharing)) -> TrainingConfig {
     let mut config = sample::config();
     (config.update.rule, config.update.parameters) = (rule, sharing);
     config
 }
 
-fn algorithm(config: &Config) -> Box<dyn Algorithm> {
+fn algorithm(config: &TrainingConfig) -> Box<dyn Algorithm> {
     build(config, &sample::policy(), &sample::problem(), RunSeed(0)).unwrap()
 }
 

@@ -4,7 +4,7 @@ use marl::ActionKind;
 use policy::{CoreKind, PolicySnapshot};
 use rand::RngCore;
 
-use crate::harness::{World, evaluate, train};
+use crate::harness::{TwoAgentGame, evaluate, train};
 use crate::settings::{ON_POLICY, maddpg, on_policy};
 
 const CHOICES: usize = 3;
@@ -19,7 +19,7 @@ struct Matrix {
     chosen: Option<[usize; 2]>,
 }
 
-impl World for Matrix {
+impl TwoAgentGame for Matrix {
     const STEPS: usize = 4;
     const STATE: usize = 2 * CHOICES;
     const ACTION: ActionKind = ActionKind::Discrete { choices: CHOICES };
@@ -79,7 +79,7 @@ struct Meeting {
     chosen: [f32; 2],
 }
 
-impl World for Meeting {
+impl TwoAgentGame for Meeting {
     const STEPS: usize = 4;
     const STATE: usize = 2;
     const ACTION: ActionKind = ActionKind::Continuous;

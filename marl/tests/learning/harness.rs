@@ -12,7 +12,7 @@ const SEED: RunSeed = RunSeed(1);
 const ENVIRONMENTS: usize = 64;
 
 /// One episode of a world with two agents. Each action is one number, and both agents observe the state.
-pub(crate) trait World {
+pub(crate) trait TwoAgentGame {
     /// Steps of an episode, which ends by termination.
     const STEPS: usize;
     /// Size of the state.
@@ -76,7 +76,7 @@ impl<W> Played<W> {
 }
 
 /// Sizes as a task declares them.
-pub(crate) fn problem<W: World>() -> Problem {
+pub(crate) fn problem<W: TwoAgentGame>() -> Problem {
     let shape = AgentShape {
         observation: W::STATE + 2,
         action: 1,
@@ -88,19 +88,19 @@ pub(crate) fn problem<W: World>() -> Problem {
 }
 
 /// Initial states for one purpose.
-fn begin<W: World>(draw: Draw) -> Vec<W> {
+fn begin<W: TwoAgentGame>(draw: Draw) -> Vec<W> {
     let environments = 0..ENVIRONMENTS as u32;
     environments.map(|e| W::begin(&mut generator(SEED, draw.environment(e)))).collect()
 }
 
 /// The state and the agent's index.
-fn observe(world: &impl World, agent: usize) -> Vec<f32> {
+fn observe(world: &impl TwoAgentGame, agent: usize) -> Vec<f32> {
     let number = [0, 1].map(|index| if index == agent { 1.0 } else { 0.0 });
     [world.state(), number.to_vec()].concat()
 }
 
 /// One agent's step in all worlds; `act` chooses the actions.
-fn act<W: World>(
+fn act<W: TwoAgentGame>(
     (worlds, step): (&[W], usize),
     (agent, policy): (usize, &ActorPolicy),
     (hidden, data): (&mut [f32], &mut AgentBatch),
@@ -121,7 +121,7 @@ fn act<W: World>(
 }
 
 /// Plays one episode in each of `worlds`; `choose` chooses the actions.
-fn play<W: World>(
+fn play<W: TwoAgentGame>(
     snapshot: &PolicySnapshot,
     mut worlds: Vec<W>,
     mut choose: impl FnMut(Turn<'_>) -> f32,
@@ -138,7 +138,7 @@ fn play<W: World>(
     let initial_state = |policy: &ActorPolicy| vec![0.0; ENVIRONMENTS * policy.hidden_size()];
     let mut hidden: Vec<Vec<f32>> = snapshot.agents.iter().map(initial_state).collect();
     for step in 0..W::STEPS {
-        batch.state.extend(worlds.iter().flat_map(World::state));
+        batch.state.extend(worlds.iter().flat_map(TwoAgentGame::state));
         for (agent, policy) in snapshot.agents.iter().enumerate() {
             let memory = (hidden[agent].as_mut_slice(), &mut batch.agents[agent]);
             act((&worlds, step), (agent, policy), memory, &mut choose);
@@ -152,13 +152,13 @@ fn play<W: World>(
     Played { batch, worlds }
 }
 
-fn last<W: World>((environment, world): (usize, &W)) -> Final {
+fn last<W: TwoAgentGame>((environment, world): (usize, &W)) -> Final {
     let observation = [0, 1].map(|agent| observe(world, agent)).to_vec();
     Final { step: W::STEPS - 1, environment, state: world.state(), observation }
 }
 
 /// Plays evaluation episodes with the actions of `choose`.
-pub(crate) fn evaluate<W: World>(
+pub(crate) fn evaluate<W: TwoAgentGame>(
     snapshot: &PolicySnapshot,
     choose: impl FnMut(Turn<'_>) -> f32,
 ) -> Played<W> {
@@ -166,7 +166,7 @@ pub(crate) fn evaluate<W: World>(
 }
 
 /// The policies before the first iteration and after the last one.
-pub(crate) fn train<W: World>(settings: &Settings, iterations: u64) -> [PolicySnapshot; 2] {
+pub(crate) fn train<W: TwoAgentGame>(settings: &Settings, iterations: u64) -> [PolicySnapshot; 2] {
     let Settings { config, policy } = settings;
     config.validate().unwrap();
     let problem = problem::<W>();
@@ -180,7 +180,7 @@ pub(crate) fn train<W: World>(settings: &Settings, iterations: u64) -> [PolicySn
 }
 
 /// One iteration in the learner's order.
-fn learn<W: World>(surprise: &mut Surprise, algorithm: &mut dyn Algorithm, iteration: u64) {
+fn learn<W: TwoAgentGame>(surprise: &mut Surprise, algorithm: &mut dyn Algorithm, iteration: u64) {
     let worlds = begin::<W>(Draw::of(Purpose::Reset).iteration(iteration));
     let draw = |turn: Turn<'_>| turn.sampled_action(iteration);
     let batch = play(&algorithm.snapshot().unwrap(), worlds, draw).batch;

@@ -5,7 +5,7 @@ use policy::randomness::uniform;
 use policy::{CoreKind, PolicySnapshot};
 use rand::RngCore;
 
-use crate::harness::{World, evaluate, train};
+use crate::harness::{TwoAgentGame, evaluate, train};
 use crate::settings::{ON_POLICY, Settings, maddpg, on_policy};
 
 /// Displacement of the point by a full action of each agent. The two are neither equal nor orthogonal, so the best
@@ -24,7 +24,7 @@ fn length([x, y]: [f32; 2]) -> f32 {
     (x * x + y * y).sqrt()
 }
 
-impl World for Reaching {
+impl TwoAgentGame for Reaching {
     const STEPS: usize = 8;
     const STATE: usize = 2;
     const ACTION: ActionKind = ActionKind::Continuous;

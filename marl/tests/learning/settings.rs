@@ -1,13 +1,13 @@
 //! The learning rules under test, and sizes with which a small task is learnt in a second.
 
 use marl::config::{Rule, Sharing};
-use marl::{Config, CriticConfig, InfluenceConfig, MaddpgConfig, UpdateConfig};
+use marl::{CriticConfig, InfluenceConfig, MaddpgConfig, TrainingConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
 
 use crate::fixture;
 
 /// Settings that distinguish the on-policy rules.
-pub(crate) struct Variant {
+pub(crate) struct RuleVariant {
     pub(crate) name: &'static str,
     rule: Rule,
     parameters: Sharing,
@@ -16,26 +16,26 @@ pub(crate) struct Variant {
 }
 
 /// The weights of `configs/algorithms`.
-pub(crate) const ON_POLICY: [Variant; 4] = [
-    Variant {
+pub(crate) const ON_POLICY: [RuleVariant; 4] = [
+    RuleVariant {
         name: "HAPPO",
         rule: Rule::Happo,
         parameters: Sharing::Separate,
         weights: (0.01, 0.0, 0.0),
     },
-    Variant {
+    RuleVariant {
         name: "HAPPO-S2MIA",
         rule: Rule::Happo,
         parameters: Sharing::Separate,
         weights: (0.0, 0.01, 0.01),
     },
-    Variant {
+    RuleVariant {
         name: "MAPPO, one network",
         rule: Rule::Mappo,
         parameters: Sharing::Shared,
         weights: (0.01, 0.0, 0.0),
     },
-    Variant {
+    RuleVariant {
         name: "MAPPO, a network each",
         rule: Rule::Mappo,
         parameters: Sharing::Separate,
@@ -45,12 +45,12 @@ pub(crate) const ON_POLICY: [Variant; 4] = [
 
 /// Settings of a learning rule and its actors.
 pub(crate) struct Settings {
-    pub(crate) config: Config,
+    pub(crate) config: TrainingConfig,
     pub(crate) policy: PolicyConfig,
 }
 
 /// A variant with actors of `core`.
-pub(crate) fn on_policy(variant: &Variant, core: CoreKind) -> Settings {
+pub(crate) fn on_policy(variant: &RuleVariant, core: CoreKind) -> Settings {
     let (entropy, alpha, lambda) = variant.weights;
     let mut config = config(variant.rule);
     config.update.parameters = variant.parameters;
@@ -80,9 +80,9 @@ fn policy(core: CoreKind) -> PolicyConfig {
     }
 }
 
-fn config(rule: Rule) -> Config {
+fn config(rule: Rule) -> TrainingConfig {
     let usual = fixture::config(rule);
-    Config {
+    TrainingConfig {
         update: UpdateConfig { learning_rate: 5e-3, ..usual.update },
         critic: CriticConfig {
             width: 32,

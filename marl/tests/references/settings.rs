@@ -2,8 +2,8 @@
 
 use marl::config::{Rule, Sharing};
 use marl::{
-    ActionKind, AgentBatch, AgentShape, Batch, Config, CriticConfig, Final, InfluenceConfig,
-    MaddpgConfig, Problem, SurpriseConfig, UpdateConfig,
+    ActionKind, AgentBatch, AgentShape, Batch, CriticConfig, Final, InfluenceConfig, MaddpgConfig,
+    Problem, SurpriseConfig, TrainingConfig, UpdateConfig,
 };
 use policy::{CoreKind, PolicyConfig};
 
@@ -40,10 +40,10 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
 }
 
 /// Surprise has a weight, so that there is a value per agent. The rewards are those of the file.
-pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> Config {
+pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> TrainingConfig {
     let number = |key: &str| reference.setting(key);
     let usual = fixture::config(rule);
-    Config {
+    TrainingConfig {
         update: UpdateConfig {
             parameters,
             gamma: number("update.gamma"),

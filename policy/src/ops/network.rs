@@ -7,7 +7,7 @@ use candle_core::backprop::GradStore;
 use candle_core::{
     CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, TensorId, Var, WithDType,
 };
-use kernels::{Input, Network, Packed, Sequences, Workspace};
+use kernels::{Input, Network, Packed, SequenceLayout, Workspace};
 use rand::RngCore;
 
 use super::operand;
@@ -274,8 +274,8 @@ impl Fused {
         Ok(Self { packed: Arc::clone(packed), recurrent, workspace: Mutex::default() })
     }
 
-    fn sequences(&self) -> Option<Sequences<'_>> {
-        self.recurrent.as_ref().map(|Recurrent { start, mask, sequences }| Sequences {
+    fn sequences(&self) -> Option<SequenceLayout<'_>> {
+        self.recurrent.as_ref().map(|Recurrent { start, mask, sequences }| SequenceLayout {
             start,
             mask,
             count: *sequences,

@@ -12,7 +12,7 @@ use crate::share::{LoggedShare, LoggedStep};
 
 /// First difference between the simulator and a log.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Difference {
+pub struct ReplayDifference {
     /// The episode.
     pub episode_id: String,
     /// The step of the episode.
@@ -25,7 +25,7 @@ pub struct Difference {
     pub found: String,
 }
 
-impl fmt::Display for Difference {
+impl fmt::Display for ReplayDifference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { episode_id, step, what, logged, found } = self;
         write!(f, "{episode_id}, step {step}: {what} differs: logged {logged}, replayed {found}")
@@ -40,7 +40,7 @@ pub struct Replayed {
     /// Number of steps of these shares.
     pub steps: u64,
     /// First difference; nothing after it was replayed.
-    pub difference: Option<Difference>,
+    pub difference: Option<ReplayDifference>,
     /// Fingerprint of the program that wrote the log, if it differs from this program's.
     pub other_program: Option<String>,
 }
@@ -94,7 +94,7 @@ impl Player {
     }
 
     /// Replays a share; returns the first difference, if any.
-    fn play(&mut self, share: &LoggedShare) -> Result<Option<Difference>, LogError> {
+    fn play(&mut self, share: &LoggedShare) -> Result<Option<ReplayDifference>, LogError> {
         let (episode, first) = (&share.head.episode_id, share.head.first_step);
         let unfit = |why: String| LogError::Unfit(format!("{episode} from step {first} on: {why}"));
         self.world.restore(0, &share.head.environment_state).map_err(|e| unfit(e.to_string()))?;
@@ -174,9 +174,9 @@ struct Mismatch {
 }
 
 impl Mismatch {
-    fn of(self, episode_id: &str, step: u32) -> Difference {
+    fn of(self, episode_id: &str, step: u32) -> ReplayDifference {
         let Self { what, logged, found } = self;
-        Difference { episode_id: episode_id.to_owned(), step, what, logged, found }
+        ReplayDifference { episode_id: episode_id.to_owned(), step, what, logged, found }
     }
 }
 

@@ -12,7 +12,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use policy::{Draw, Key, Purpose, RunSeed};
+use policy::{Draw, DrawKey, Purpose, RunSeed};
 use proto::{
     ActionChoice, Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId,
     PolicyVersion, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
@@ -74,7 +74,7 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
 
 pub(super) fn evaluate(handle: &LogHandle, work: EvaluationWork) {
     let mut world = sim::environments(&task(), 1).unwrap();
-    let key = Key::of(RunSeed(3), Draw::of(Purpose::EvaluationReset));
+    let key = DrawKey::of(RunSeed(3), Draw::of(Purpose::EvaluationReset));
     let lease = lease(Work::Evaluation(work));
     let Some(mut collector) = handle.evaluation(&lease, work) else { return };
     let start = (key, ActionChoice::Mean);

@@ -1,7 +1,7 @@
-//! Tests of films: what a camera captures, and of which tasks.
+//! Tests of films: what a recorder captures, and of which tasks.
 
 use proto::MAX_FRAMES;
-use rollout::Camera;
+use rollout::FilmRecorder;
 use sim::{ObservationConfig, ObservationNorm, TaskConfig};
 
 use crate::fixture;
@@ -9,9 +9,9 @@ use crate::fixture;
 #[test]
 fn a_film_has_every_capsule_at_its_link_and_is_limited_in_length() {
     let world = fixture::world();
-    let mut camera = Camera::before(&*world).unwrap();
-    (0..MAX_FRAMES).for_each(|_| camera.capture(&*world));
-    let film = camera.film();
+    let mut recorder = FilmRecorder::before(&*world).unwrap();
+    (0..MAX_FRAMES).for_each(|_| recorder.capture(&*world));
+    let film = recorder.film();
     // The torso, its head, and two legs of three links.
     assert_eq!((film.radii.len(), film.ends.len()), (8, MAX_FRAMES * 8 * 6));
     let of = |agent| film.drivers.iter().filter(|driver| **driver == agent).count();
@@ -28,5 +28,5 @@ fn a_game_has_no_film() {
         ObservationConfig { norm: ObservationNorm::None, ..fixture::task().observation };
     let task = TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() };
     let world = sim::environments(&task, 1).unwrap();
-    assert!(Camera::before(&*world).is_none());
+    assert!(FilmRecorder::before(&*world).is_none());
 }

@@ -125,10 +125,10 @@ fn an_invalid_state_is_rejected_without_a_step() {
 
 #[test]
 fn evaluation_episodes_are_repeatable_with_mean_and_sampled_actions() {
-    use policy::randomness::{Draw, Key, Purpose, RunSeed};
+    use policy::randomness::{Draw, DrawKey, Purpose, RunSeed};
     let play_by = |seed: u64, choice: ActionChoice| {
         let mut world = sim::environments(&task(), 1).unwrap();
-        let key = Key::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
+        let key = DrawKey::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
         let mut shown = 0;
         let (world, start) = (&mut *world, (key, choice));
         let episode = rollout::play_episode(world, &policy(), start, |event| {

@@ -10,7 +10,7 @@ use policy::ops::LAYER_NORM_EPSILON;
 use policy::standardisation::LIMIT;
 use policy::{ActorPolicy, CoreKind, Head, InputNorm};
 
-use super::onnx::{Element, Graph, Model, float, integer};
+use super::onnx::{ElementType, Graph, Model, float, integer};
 
 /// The model of one agent; `about` goes into its metadata.
 pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
@@ -27,7 +27,7 @@ pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Mo
         CoreKind::Mlp => feed_forward(&mut graph, agent, seen),
     };
     dense(&mut graph, "head", &features, "output");
-    graph.output("output", Element::Float, agent.output_size());
+    graph.output("output", ElementType::Float, agent.output_size());
     action(&mut graph, agent);
     let sigma = agent.sigma().iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
     let mut about = about.clone();
@@ -75,7 +75,7 @@ fn recurrent(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
     graph.node("Mul", &["gru.taken", "gru.n"], &["gru.new"], []);
     graph.node("Mul", &["gru.z", "hidden"], &["gru.kept"], []);
     graph.node("Add", &["gru.new", "gru.kept"], &["next_hidden"], []);
-    graph.output("next_hidden", Element::Float, agent.hidden_size());
+    graph.output("next_hidden", ElementType::Float, agent.hidden_size());
     norm(graph, "output.norm", "next_hidden", "features");
     "features".to_owned()
 }
@@ -111,7 +111,7 @@ fn action(graph: &mut Graph, agent: &ActorPolicy) {
         Head::Categorical { .. } => {
             let attributes = [integer("axis", 1), integer("keepdims", 1)];
             graph.node("ArgMax", &["output"], &["action"], attributes);
-            return graph.output("action", Element::Int64, 1);
+            return graph.output("action", ElementType::Int64, 1);
         }
         Head::Deterministic { low, high, .. } | Head::Uniform { low, high } => {
             graph.constant("action.half", &[], &[0.5 * (high - low)]);
@@ -121,7 +121,7 @@ fn action(graph: &mut Graph, agent: &ActorPolicy) {
             graph.node("Add", &["action.scaled", "action.middle"], &["action"], []);
         }
     }
-    graph.output("action", Element::Float, agent.action_size());
+    graph.output("action", ElementType::Float, agent.action_size());
 }
 
 fn norm(graph: &mut Graph, name: &str, from: &str, to: &str) {

@@ -10,7 +10,7 @@ const OPERATOR_SET: i64 = 17;
 
 /// `TensorProto.DataType`
 #[derive(Clone, Copy)]
-pub(super) enum Element {
+pub(super) enum ElementType {
     Float = 1,
     Int64 = 7,
 }
@@ -174,11 +174,11 @@ impl Graph {
 
     /// An input `[rows, width]`, any number of rows.
     pub(super) fn input(&mut self, name: &str, width: usize) {
-        self.input.push(rows_of(name, Element::Float, width));
+        self.input.push(rows_of(name, ElementType::Float, width));
     }
 
     /// An output `[rows, width]`.
-    pub(super) fn output(&mut self, name: &str, element: Element, width: usize) {
+    pub(super) fn output(&mut self, name: &str, element: ElementType, width: usize) {
         self.output.push(rows_of(name, element, width));
     }
 
@@ -186,7 +186,7 @@ impl Graph {
     pub(super) fn constant(&mut self, name: &str, shape: &[usize], data: &[f32]) {
         self.initializer.push(Tensor {
             dims: shape.iter().map(|&length| length as i64).collect(),
-            data_type: Element::Float as i32,
+            data_type: ElementType::Float as i32,
             name: name.to_owned(),
             raw_data: data.iter().flat_map(|x| x.to_le_bytes()).collect(),
         });
@@ -221,7 +221,7 @@ pub(super) fn float(name: &str, value: f32) -> Attribute {
     Attribute { name: name.to_owned(), f: Some(value), i: None, kind: 1 }
 }
 
-fn rows_of(name: &str, element: Element, width: usize) -> Value {
+fn rows_of(name: &str, element: ElementType, width: usize) -> Value {
     let rows = Dimension { dim_value: None, dim_param: Some("rows".to_owned()) };
     let width = Dimension { dim_value: Some(width as i64), dim_param: None };
     let shape = Some(Shape { dim: vec![rows, width] });

@@ -16,8 +16,8 @@ fn every_section_of_the_defaults_is_read() {
         without.entries.retain(|key, _| section(key).as_ref() != Some(unread));
         let text = without.to_toml();
         let is_whole = toml::from_str::<Sections>(&text).is_ok()
-            && toml::from_str::<marl::Config>(&text).is_ok()
-            && toml::from_str::<learner::config::Config>(&text).is_ok();
+            && toml::from_str::<marl::TrainingConfig>(&text).is_ok()
+            && toml::from_str::<learner::config::LearnerConfig>(&text).is_ok();
         assert!(!is_whole, "no part of the program reads [{unread}]");
     }
 }
@@ -69,7 +69,7 @@ fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
     ] {
         for (task, preset) in tasks_and_presets() {
             let settings = [task, &format!("algorithm={algorithm}"), &format!("preset={preset}")];
-            let marl::Config { update, surprise, influence, .. } =
+            let marl::TrainingConfig { update, surprise, influence, .. } =
                 RunConfig::with(&settings).unwrap().training;
             let harls = preset == "harl" && ["walker2d-2x3", "ant-4x2"].contains(&task);
             let entropy = if algorithm == "happo" && harls { 0.0 } else { entropy };

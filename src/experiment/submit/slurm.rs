@@ -18,7 +18,7 @@ pub(crate) const SCRIPT_NAME: &str = "slurm.sh";
 
 /// Options that the script passes to Slurm.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Options<'a> {
+pub(crate) struct SlurmOptions<'a> {
     /// Partition; `None`: the cluster's default.
     pub(crate) partition: Option<&'a str>,
     /// Time limit in Slurm's notation; `None`: the partition's.
@@ -32,7 +32,7 @@ pub(crate) struct Options<'a> {
 pub(crate) fn script(
     file: &ExperimentFile,
     jobs: &Jobs,
-    options: Options<'_>,
+    options: SlurmOptions<'_>,
 ) -> anyhow::Result<String> {
     let directory = std::env::current_dir().context("cannot find the current folder")?;
     let program = std::env::current_exe().context("cannot find this program")?;
@@ -108,7 +108,7 @@ mod tests {
     #[test]
     fn the_script_asks_for_the_cores_of_a_run_and_computes_one_shard_in_each_job() {
         let jobs = Jobs { runs: 5, runs_per_job: 2, limit: Some(2) };
-        let options = Options { partition: Some("short"), time: Some("1:00:00") };
+        let options = SlurmOptions { partition: Some("short"), time: Some("1:00:00") };
         let text = script(&sample("a b.toml"), &jobs, options).unwrap();
         for line in [
             "#SBATCH --job-name=s2mia-a-b\n",
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn options_that_are_left_out_are_left_to_the_cluster() {
         let jobs = Jobs { runs: 5, runs_per_job: 1, limit: None };
-        let text = script(&sample("a.toml"), &jobs, Options::default()).unwrap();
+        let text = script(&sample("a.toml"), &jobs, SlurmOptions::default()).unwrap();
         assert!(text.contains("#SBATCH --array=0-4\n"), "{text}");
         assert!(!text.contains("--time") && !text.contains("--partition"), "{text}");
     }

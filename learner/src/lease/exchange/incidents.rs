@@ -30,13 +30,13 @@ impl fmt::Display for Caller {
 
 /// Names of registered actors, and the senders of the environments' states.
 #[derive(Debug, Default)]
-pub(super) struct Names {
+pub(super) struct ActorNames {
     actors: BTreeMap<ActorId, String>,
     /// The actor that sent the latest end state of an environment, in words: it may be gone.
     senders: BTreeMap<u32, String>,
 }
 
-impl Names {
+impl ActorNames {
     pub(super) fn insert(&mut self, actor: ActorId, name: String) {
         self.actors.insert(actor, name);
     }
@@ -185,7 +185,7 @@ mod tests {
     }
 
     fn line(incident: &Incident) -> String {
-        let mut names = Names::default();
+        let mut names = ActorNames::default();
         names.insert(ActorId(3), "local-0".to_owned());
         match names.describe(incident) {
             Notice::Loss(line) => line,
@@ -216,7 +216,7 @@ mod tests {
 
     #[test]
     fn a_returned_lease_is_a_line_with_the_cause_and_who_sent_the_start_states() {
-        let mut names = Names::default();
+        let mut names = ActorNames::default();
         names.insert(ActorId(3), "local-0".to_owned());
         names.insert(ActorId(9), "rogue".to_owned());
         names.note_sender(ActorId(9), &[4]);
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn an_actor_that_leaves_without_a_lease_is_no_loss_and_its_name_goes_with_it() {
-        let mut names = Names::default();
+        let mut names = ActorNames::default();
         names.insert(ActorId(3), "local-0".to_owned());
         let gone = Incident::Gone { actor: ActorId(3), leases: Vec::new() };
         let usual = Notice::Usual("actor 3 (local-0) is gone; it held no lease".to_owned());

@@ -17,14 +17,14 @@ pub(super) struct Item {
     pub(super) work: Arc<Work>,
     /// Leases so far.
     pub(super) issued: u32,
-    pub(super) state: State,
+    pub(super) state: ItemState,
     /// Digests from ended leases, from the first chunk on.
     pub(super) earlier: Vec<EarlierResult>,
 }
 
 /// What happens to an item, in this order. A lost lease makes it free again.
 #[derive(Debug)]
-pub(super) enum State {
+pub(super) enum ItemState {
     /// It has no lease.
     Free,
     /// These leases compute it, the oldest first; two if the first one is slow.
@@ -57,17 +57,17 @@ pub(super) struct EarlierResult {
 impl Item {
     /// Adds a lease to the first one. The second lease that was there before.
     pub(super) fn add_backup(&mut self, lease: HeldLease) -> Option<LeaseId> {
-        let State::Held(leases) = &mut self.state else { return None };
+        let ItemState::Held(leases) = &mut self.state else { return None };
         let replaced = leases.split_off(1);
         leases.push(lease);
         replaced.first().map(|replaced| replaced.id)
     }
 
     pub(super) fn drop_lease(&mut self, id: LeaseId) {
-        if let State::Held(leases) = &mut self.state {
+        if let ItemState::Held(leases) = &mut self.state {
             leases.retain(|lease| lease.id != id);
             if leases.is_empty() {
-                self.state = State::Free;
+                self.state = ItemState::Free;
             }
         }
     }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use proto::{EvaluationWork, LeaseId, RolloutWork, WeightsName, Work};
 
 use super::disagreement::{Computed, Disagreement};
-use super::item::{EarlierResult, HeldLease, Item, Output, State, latest};
+use super::item::{EarlierResult, HeldLease, Item, ItemState, Output, latest};
 use super::leases::{Claim, Claimed, OpenLease};
 use super::{Effect, EvaluationOutcome, SlotRollout, Trust};
 
@@ -70,7 +70,7 @@ impl Works {
         let item = |work| Item {
             work: Arc::new(work),
             issued: 0,
-            state: State::Free,
+            state: ItemState::Free,
             earlier: Vec::new(),
         };
         let items = works.map(item).collect::<Vec<_>>();
@@ -90,7 +90,7 @@ impl Works {
         let group = self.group;
         let permitted = |index: &usize| may_try(Key { group, index: *index });
         let index = self.free.iter().copied().find(permitted)?;
-        let held = State::Held(vec![HeldLease { id, since: now }]);
+        let held = ItemState::Held(vec![HeldLease { id, since: now }]);
         self.change(index, |item| item.state = held);
         Some(self.issue(index))
     }
@@ -108,7 +108,7 @@ impl Works {
         let group = self.group;
         let mut old = self.held.range(..=(since, usize::MAX)).map(|(_, index)| *index);
         let index = old.find(|index| match &self.items[*index] {
-            Item { state: State::Held(leases), issued, .. } => {
+            Item { state: ItemState::Held(leases), issued, .. } => {
                 may_be_backed_up(Key { group, index: *index }, leases, *issued)
             }
             _ => false,
@@ -120,23 +120,23 @@ impl Works {
     /// Changes an item, and the indexes with it.
     fn change<T>(&mut self, index: usize, change: impl FnOnce(&mut Item) -> T) -> T {
         match &self.items[index].state {
-            State::Free => {
+            ItemState::Free => {
                 self.free.remove(&index);
             }
-            State::Held(leases) => {
+            ItemState::Held(leases) => {
                 self.held.remove(&(latest(leases), index));
             }
-            State::Complete(_) | State::Taken => self.complete -= 1,
+            ItemState::Complete(_) | ItemState::Taken => self.complete -= 1,
         }
         let result = change(&mut self.items[index]);
         match &self.items[index].state {
-            State::Free => {
+            ItemState::Free => {
                 self.free.insert(index);
             }
-            State::Held(leases) => {
+            ItemState::Held(leases) => {
                 self.held.insert((latest(leases), index));
             }
-            State::Complete(_) | State::Taken => self.complete += 1,
+            ItemState::Complete(_) | ItemState::Taken => self.complete += 1,
         }
         result
     }
@@ -160,7 +160,7 @@ impl Works {
     /// The leases of each held item.
     pub(super) fn held(&self) -> impl Iterator<Item = &[HeldLease]> {
         self.items.iter().filter_map(|item| match &item.state {
-            State::Held(leases) => Some(leases.as_slice()),
+            ItemState::Held(leases) => Some(leases.as_slice()),
             _ => None,
         })
     }
@@ -174,7 +174,7 @@ impl Works {
     /// The other leases of the item besides `id`.
     pub(super) fn other_leases(&self, index: usize, id: LeaseId) -> Vec<LeaseId> {
         match &self.items[index].state {
-            State::Held(leases) => {
+            ItemState::Held(leases) => {
                 leases.iter().map(|lease| lease.id).filter(|other| *other != id).collect()
             }
             _ => Vec::new(),
@@ -225,7 +225,7 @@ impl Works {
                 Output::Slot(SlotRollout { slot: index as u32, actor, lease, chunks, digests })
             }
         };
-        self.change(index, |item| item.state = State::Complete(output));
+        self.change(index, |item| item.state = ItemState::Complete(output));
         Completion::Accepted
     }
 
@@ -237,10 +237,10 @@ impl Works {
     pub(super) fn take(&mut self) -> Effect {
         let (mut rollouts, mut episodes) = (Vec::new(), Vec::new());
         for item in &mut self.items {
-            match std::mem::replace(&mut item.state, State::Taken) {
-                State::Complete(Output::Slot(rollout)) => rollouts.push(rollout),
-                State::Complete(Output::Episode(result)) => episodes.push(result),
-                State::Free | State::Held(_) | State::Taken => {}
+            match std::mem::replace(&mut item.state, ItemState::Taken) {
+                ItemState::Complete(Output::Slot(rollout)) => rollouts.push(rollout),
+                ItemState::Complete(Output::Episode(result)) => episodes.push(result),
+                ItemState::Free | ItemState::Held(_) | ItemState::Taken => {}
             }
         }
         match self.group {
@@ -287,7 +287,7 @@ impl Works {
     /// Chunks of the complete slots that the trainer has not taken.
     pub(super) fn complete_chunks(&self) -> u64 {
         let chunks = self.items.iter().filter_map(|item| match &item.state {
-            State::Complete(Output::Slot(rollout)) => Some(rollout.chunks.len() as u64),
+            ItemState::Complete(Output::Slot(rollout)) => Some(rollout.chunks.len() as u64),
             _ => None,
         });
         chunks.sum()

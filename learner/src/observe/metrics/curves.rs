@@ -13,13 +13,13 @@ const POSITIONS: [&str; 3] = ["kind", "iteration", "env_steps"];
 /// All curves by name: figures of iterations as in `metrics.jsonl`, figures of evaluations under `evaluation/`.
 #[derive(Clone, Debug, Default)]
 pub struct Curves {
-    curves: BTreeMap<String, Curve>,
+    curves: BTreeMap<String, MetricCurve>,
     lines: u64,
 }
 
 /// One figure as a function of environment steps.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Curve {
+pub struct MetricCurve {
     /// Environment steps and figure, evenly spaced.
     points: Vec<(u64, f64)>,
     newest: (u64, f64),
@@ -42,7 +42,7 @@ impl Curves {
             let name = if evaluation { format!("evaluation/{name}") } else { name.clone() };
             if let Some(value) = value.as_f64() {
                 let point = (env_steps, value);
-                self.curves.entry(name).or_insert_with(|| Curve::new(point)).add(point);
+                self.curves.entry(name).or_insert_with(|| MetricCurve::new(point)).add(point);
             }
         }
     }
@@ -60,12 +60,12 @@ impl Curves {
     }
 
     /// All curves, in alphabetical order of their names.
-    pub fn iter(&self) -> impl Iterator<Item = (&str, &Curve)> {
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &MetricCurve)> {
         self.curves.iter().map(|(name, curve)| (name.as_str(), curve))
     }
 }
 
-impl Curve {
+impl MetricCurve {
     fn new(point: (u64, f64)) -> Self {
         Self { points: Vec::new(), newest: point, stride: 1, lines: 0 }
     }

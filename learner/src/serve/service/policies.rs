@@ -21,7 +21,7 @@ use super::{COMPILED, bodies, connections, deadline, reflection, server};
 use crate::lease::exchange::Caller;
 use crate::lease::published::Published;
 use crate::serve::listener::Listener;
-use crate::serve::team::Team;
+use crate::serve::team::ServedAgents;
 
 /// Actors register with learners only.
 const NO_ACTORS: usize = 0;
@@ -142,7 +142,7 @@ async fn answer_steps(
     let choice = ActionChoice::from_wire(start).map_err(refused)?;
     let first = Arc::clone(&newest.borrow_and_update());
     let sizes = first.policy.agents.iter().map(ActorPolicy::observation_size).collect::<Vec<_>>();
-    let mut team = Team::new(first, choice);
+    let mut team = ServedAgents::new(first, choice);
     while let Some(step) = steps.message().await? {
         let step = ActStep::from_wire(&step, &sizes).map_err(refused)?;
         if step.reset {

@@ -106,7 +106,7 @@ pub(super) struct ProgressMonitor {
 }
 
 /// Progress since the previous update.
-pub(super) struct Progress {
+pub(super) struct CollectionProgress {
     /// Whether steps have arrived.
     pub(super) new_steps: bool,
     /// [`Event::Waiting`] if no results have arrived for long.
@@ -125,7 +125,7 @@ impl ProgressMonitor {
     }
 
     /// Compares the run's figures with those of the previous update.
-    pub(super) fn update(&mut self, now: Instant, run: &RunSnapshot) -> Progress {
+    pub(super) fn update(&mut self, now: Instant, run: &RunSnapshot) -> CollectionProgress {
         let new_steps = run.steps_collected != self.steps;
         self.steps = run.steps_collected;
         if new_steps {
@@ -133,7 +133,7 @@ impl ProgressMonitor {
         }
         let due = now.duration_since(self.last_report) >= REPORT_INTERVAL;
         let waiting = due.then(|| self.report(now, run.status.actors));
-        Progress { new_steps, waiting }
+        CollectionProgress { new_steps, waiting }
     }
 
     /// The reason why no results arrive.

@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 use std::time::Instant;
 
-use marl::State as _;
+use marl::StoredState as _;
 use policy::arrays::{Array, NamedArrays};
 
 use crate::error::LearnerError;

@@ -5,7 +5,7 @@ use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, Distribution, Head, PolicyConfig, SequenceInput};
 
-use crate::config::Config;
+use crate::config::TrainingConfig;
 use crate::critic::StateScale;
 use crate::data::batch::Problem;
 use crate::error::MarlError;
@@ -17,7 +17,7 @@ use crate::rules::maddpg::replay::Sample;
 use crate::state::{Visitor, visit_parameters};
 
 /// An agent in training.
-pub(super) struct Agent {
+pub(super) struct MaddpgAgent {
     index: usize,
     actor: ActorNetwork,
     target_actor: ActorNetwork,
@@ -31,16 +31,16 @@ pub(super) struct Agent {
 
 /// Metrics of one optimiser step.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Figures {
+pub(super) struct StepMetrics {
     pub(super) value_loss: f64,
     /// Mean action value of the policy's actions.
     pub(super) action_value: f64,
     pub(super) gradient_norm: f64,
 }
 
-impl Agent {
+impl MaddpgAgent {
     pub(super) fn new(
-        config: &Config,
+        config: &TrainingConfig,
         policy: &PolicyConfig,
         problem: &Problem,
         seed: RunSeed,
@@ -96,7 +96,11 @@ impl Agent {
 
     /// One step of the action value towards its target, one ascent step of the actor on the action value, and an update
     /// of the target networks. `next` are the actions of all agents' target actors.
-    pub(super) fn learn(&mut self, sample: &Sample, next: &[Tensor]) -> Result<Figures, MarlError> {
+    pub(super) fn learn(
+        &mut self,
+        sample: &Sample,
+        next: &[Tensor],
+    ) -> Result<StepMetrics, MarlError> {
         let target = self.targets(sample, next)?;
         let taken = sample.action.iter().zip(next);
         let taken = taken.map(|(action, like)| rows(action.clone(), like.dim(1)?));
@@ -105,7 +109,7 @@ impl Agent {
         let (action_value, gradient_norm) = self.update_actor(sample, taken)?;
         polyak_update(self.target_actor.parameters(), self.actor.parameters(), self.polyak)?;
         polyak_update(&self.target_value.parameters, &self.value.parameters, self.polyak)?;
-        Ok(Figures { value_loss, action_value, gradient_norm })
+        Ok(StepMetrics { value_loss, action_value, gradient_norm })
     }
 
     /// `sum_k gamma^k r_(t+k) + gamma^m Q'(s_(t+m), mu'(o_(t+m)))`, `[R]`.
@@ -225,9 +229,10 @@ mod tests {
     #[test]
     fn action_values_scale_states_with_feature_z() {
         let (problem, mut config) = (sample::problem(), sample::config());
-        let seen = |norm, config: &mut Config| {
+        let seen = |norm, config: &mut TrainingConfig| {
             config.critic.state_norm = norm;
-            let agent = Agent::new(config, &sample::policy(), &problem, RunSeed(0), 0).unwrap();
+            let agent =
+                MaddpgAgent::new(config, &sample::policy(), &problem, RunSeed(0), 0).unwrap();
             let action = Tensor::new(&[[9.0_f32]], &Device::Cpu).unwrap();
             agent.joint_input(&[1.0, 5.0], &[action]).unwrap().to_vec2::<f32>().unwrap()
         };

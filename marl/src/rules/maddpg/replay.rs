@@ -12,7 +12,7 @@ use rand::RngCore;
 use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::optimisation::minibatch::below;
-use crate::state::{Elements, Shape, Visitor};
+use crate::state::{ArrayShape, Elements, Visitor};
 
 /// The episode continues after the step.
 const CONTINUES: u8 = 0;
@@ -45,7 +45,7 @@ pub(super) struct Replay {
 
 /// Discount, and number of rewards before the bootstrap.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Horizon {
+pub(super) struct NStepHorizon {
     pub(super) gamma: f64,
     pub(super) steps: usize,
 }
@@ -62,7 +62,7 @@ struct NStepTarget<'a> {
 
 /// States and observations of `R` transitions.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct View {
+pub(super) struct NetworkInputs {
     /// `[R, S]`.
     pub(super) state: Vec<f32>,
     /// `[N][R, obs]`.
@@ -72,7 +72,7 @@ pub(super) struct View {
 /// A batch of `R` transitions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Sample {
-    pub(super) now: View,
+    pub(super) now: NetworkInputs,
     /// `[N][R, act]`.
     pub(super) action: Vec<Vec<f32>>,
     /// Discounted rewards before the bootstrap, `[R]`.
@@ -80,7 +80,7 @@ pub(super) struct Sample {
     /// Discount of the bootstrapped value, `[R]`; 0 after a termination.
     pub(super) discount: Vec<f64>,
     /// State and observations that the value is bootstrapped from.
-    pub(super) next: View,
+    pub(super) next: NetworkInputs,
 }
 
 impl Columns {
@@ -101,7 +101,7 @@ impl Columns {
         self.seen() + self.actions.iter().sum::<usize>() + 1
     }
 
-    fn read(&self, seen: &[f32], view: &mut View) {
+    fn read(&self, seen: &[f32], view: &mut NetworkInputs) {
         view.state.extend_from_slice(&seen[..self.state]);
         split(&seen[self.state..], &self.observations, &mut view.observation);
     }
@@ -218,7 +218,7 @@ impl Replay {
     /// The n-step target: `sum_(k < m) gamma^k r_(t+k)`, `gamma^m`, and the state after step `t + m - 1`, where `m` is
     /// `horizon.steps`, or fewer at the end of the episode or of the replay. A truncation and the newest step bootstrap
     /// from the true final state; a termination does not bootstrap.
-    fn n_step_target(&self, row: u64, horizon: Horizon) -> NStepTarget<'_> {
+    fn n_step_target(&self, row: u64, horizon: NStepHorizon) -> NStepTarget<'_> {
         let (mut reward, mut discount, mut at) = (0.0, 1.0, row);
         for _ in 0..horizon.steps {
             let here = self.row(at);
@@ -236,7 +236,12 @@ impl Replay {
     }
 
     /// `count` transitions, sampled uniformly with replacement.
-    pub(super) fn sample(&self, count: usize, horizon: Horizon, rng: &mut impl RngCore) -> Sample {
+    pub(super) fn sample(
+        &self,
+        count: usize,
+        horizon: NStepHorizon,
+        rng: &mut impl RngCore,
+    ) -> Sample {
         let mut sample = Sample::default();
         for _ in 0..count {
             let row = self.oldest() + below(self.len(), rng) as u64;
@@ -257,11 +262,11 @@ impl Replay {
         let mut counts = vec![self.steps as i64, self.environments as i64];
         let mut after: Vec<i64> = self.finals.keys().map(|&row| row as i64).collect();
         let mut finals: Vec<f32> = self.finals.values().flatten().copied().collect();
-        visitor.array("replay/counts", Shape::Fixed(&[2]), Elements::I64(&mut counts))?;
-        visitor.array("replay/ends", Shape::Rows(&[]), Elements::U8(&mut self.ends))?;
-        visitor.array("replay/final_rows", Shape::Rows(&[]), Elements::I64(&mut after))?;
-        visitor.array("replay/finals", Shape::Rows(&[seen]), Elements::F32(&mut finals))?;
-        visitor.array("replay/rows", Shape::Rows(&[width]), Elements::F32(&mut self.rows))?;
+        visitor.array("replay/counts", ArrayShape::Fixed(&[2]), Elements::I64(&mut counts))?;
+        visitor.array("replay/ends", ArrayShape::Rows(&[]), Elements::U8(&mut self.ends))?;
+        visitor.array("replay/final_rows", ArrayShape::Rows(&[]), Elements::I64(&mut after))?;
+        visitor.array("replay/finals", ArrayShape::Rows(&[seen]), Elements::F32(&mut finals))?;
+        visitor.array("replay/rows", ArrayShape::Rows(&[width]), Elements::F32(&mut self.rows))?;
         (self.steps, self.environments) = (counts[0] as u64, counts[1] as usize);
         let pairs = after.iter().zip(finals.chunks_exact(seen));
         self.finals = pairs.map(|(&row, next)| (row as u64, next.to_vec())).collect();

@@ -9,9 +9,9 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorNetwork, ActorPolicy, PolicyConfig};
 use rayon::prelude::*;
 
-use crate::config::{Config, Estimator, QTraining, UpdateConfig};
+use crate::config::{Estimator, QTraining, TrainingConfig, UpdateConfig};
 use crate::data::batch::{ActionKind, Batch, Problem};
-use crate::data::sequence::{Layout, Sequences};
+use crate::data::sequence::{ChunkLayout, Sequences};
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
 use crate::influence::mutual_information;
@@ -48,7 +48,7 @@ pub(crate) struct Agent {
 
 impl Agent {
     pub(crate) fn new(
-        config: &Config,
+        config: &TrainingConfig,
         policy: &PolicyConfig,
         problem: &Problem,
         seed: RunSeed,
@@ -217,7 +217,7 @@ impl Agent {
 pub(crate) fn gather(
     agents: &[Agent],
     batch: &Batch,
-    layout: Layout,
+    layout: ChunkLayout,
     advantages: &[Vec<f64>],
 ) -> Result<Vec<Experience>, MarlError> {
     let one = |index: usize| {
@@ -241,7 +241,7 @@ pub(crate) fn gather(
 
 /// Encoded actions of all agents but `agent`, joined in agent order, `[L, C, others]`: those of the same step, or with
 /// a lag of 1 those of the previous step. They are zeros at an episode's first step and at the first step of `D_k`.
-fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: Layout) -> Vec<f32> {
+fn other_actions(agents: &[Agent], batch: &Batch, agent: usize, layout: ChunkLayout) -> Vec<f32> {
     let rows = batch.rows();
     let others: Vec<(ActionKind, &[f32])> = (0..agents.len())
         .filter(|&index| index != agent)

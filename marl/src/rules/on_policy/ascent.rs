@@ -26,10 +26,10 @@ pub(crate) struct AgentInputs<'a> {
 
 /// Metrics of an agent's optimiser steps.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Trained {
+pub(crate) struct AscentMetrics {
     pub(crate) figures: Figures,
     pub(crate) gradient_norm: f64,
-    /// Number of optimiser steps. All figures are sums over them until [`Trained::mean`].
+    /// Number of optimiser steps. All figures are sums over them until [`AscentMetrics::mean`].
     steps: usize,
     /// Number of steps skipped because their gradient was not finite.
     pub(crate) skipped: i64,
@@ -37,7 +37,7 @@ pub(crate) struct Trained {
     pub(crate) learning_rate: f64,
 }
 
-impl Trained {
+impl AscentMetrics {
     /// Adds one optimiser step.
     fn add(&mut self, figures: &Figures, gradient_norm: f64) {
         self.figures.add(1.0, figures);
@@ -67,11 +67,11 @@ pub(crate) fn maximise(
     inputs: AgentInputs<'_>,
     factor: &[f64],
     (seed, draw): (RunSeed, Draw),
-) -> Result<Trained, MarlError> {
+) -> Result<AscentMetrics, MarlError> {
     let (epochs, parts) = (agent.update.epochs, agent.update.minibatches);
-    let mut trained = Trained::default();
+    let mut trained = AscentMetrics::default();
     for epoch in 0..epochs {
-        let mut done = Trained::default();
+        let mut done = AscentMetrics::default();
         let draw = draw.step(epoch as u32);
         for columns in minibatches(inputs.experience.sequences.layout.chunks, parts, seed, draw) {
             let (figures, gradients) = gradient(agent, inputs, factor, &columns)?;
@@ -92,11 +92,11 @@ pub(crate) fn maximise_together(
     inputs: &[AgentInputs<'_>],
     factor: &[f64],
     (seed, draws): (RunSeed, &[Draw]),
-) -> Result<Vec<Trained>, MarlError> {
+) -> Result<Vec<AscentMetrics>, MarlError> {
     let (epochs, parts) = (agents[0].update.epochs, agents[0].update.minibatches);
-    let mut trained = vec![Trained::default(); agents.len()];
+    let mut trained = vec![AscentMetrics::default(); agents.len()];
     for epoch in 0..epochs {
-        let mut done = vec![Trained::default(); agents.len()];
+        let mut done = vec![AscentMetrics::default(); agents.len()];
         let split = |(draw, inputs): (&Draw, &AgentInputs<'_>)| {
             minibatches(
                 inputs.experience.sequences.layout.chunks,
@@ -125,7 +125,7 @@ pub(crate) fn maximise_together(
         trained.iter_mut().zip(&done).for_each(|(all, done)| all.add_epoch(done));
     }
     let (skipped, learning_rate) = (agents[0].adam.skipped(), agents[0].adam.learning_rate());
-    let one = |all: Trained| Trained { skipped, learning_rate, ..all.mean() };
+    let one = |all: AscentMetrics| AscentMetrics { skipped, learning_rate, ..all.mean() };
     Ok(trained.into_iter().map(one).collect())
 }
 

@@ -41,7 +41,7 @@ mod tests {
     use rand::RngCore;
 
     use super::*;
-    use crate::config::{Config, Estimator};
+    use crate::config::{Estimator, TrainingConfig};
     use crate::data::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
     use crate::rules::algorithm::Report;
     use crate::rules::build;
@@ -131,13 +131,13 @@ mod tests {
         (cue + [0, 0, 0, 1, 2][below(5, rng)]) % CHOICES
     }
 
-    fn counting() -> Config {
+    fn counting() -> TrainingConfig {
         let mut config = sample::config();
         config.influence.estimator = Estimator::Count;
         config
     }
 
-    fn update(config: &Config, cue: Cue, batch: &Batch) -> Report {
+    fn update(config: &TrainingConfig, cue: Cue, batch: &Batch) -> Report {
         let policy = PolicyConfig {
             core: CoreKind::Mlp,
             backpropagation_steps: 1,

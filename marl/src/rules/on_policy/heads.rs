@@ -62,8 +62,8 @@ mod tests {
     use super::super::ascent::{AgentInputs, gradient, maximise};
     use super::super::experience::Influence;
     use super::*;
-    use crate::config::{Config, QTraining};
-    use crate::data::sequence::Layout;
+    use crate::config::{QTraining, TrainingConfig};
+    use crate::data::sequence::ChunkLayout;
     use crate::influence::mutual_information;
     use crate::optimisation::tests::meets_finite_differences;
     use crate::sample;
@@ -77,13 +77,13 @@ mod tests {
     }
 
     fn prepared_with(
-        config: &Config,
+        config: &TrainingConfig,
         policy: &PolicyConfig,
     ) -> (Vec<Agent>, Vec<Experience>, Vec<Influence>) {
         let (problem, batch) = (sample::problem(), sample::batch());
         let agent = |index| Agent::new(config, policy, &problem, RunSeed(0), index).unwrap();
         let mut agents = vec![agent(0), agent(1)];
-        let layout = Layout::of(&batch, policy.backpropagation_steps);
+        let layout = ChunkLayout::of(&batch, policy.backpropagation_steps);
         let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
         let advantages = vec![advantage.clone(), advantage];
         let experience = gather(&agents, &batch, layout, &advantages).unwrap();

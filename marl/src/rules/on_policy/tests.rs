@@ -8,7 +8,7 @@ use super::agent::{Agent, gather};
 use super::ascent::{AgentInputs, gradient, policy_change};
 use super::experience::{Experience, Influence};
 use crate::data::batch::{AgentBatch, Batch, Problem};
-use crate::data::sequence::{Layout, Sequences};
+use crate::data::sequence::{ChunkLayout, Sequences};
 use crate::distribution::HeadRows;
 use crate::objective::surrogate::sequential_factor;
 use crate::optimisation::minibatch::minibatches;
@@ -90,12 +90,12 @@ fn acted(
 
 fn experience(agents: &[Agent], batch: &Batch) -> Vec<Experience> {
     let advantages = vec![vec![1.0; batch.rows()]; agents.len()];
-    gather(agents, batch, Layout::of(batch, CHUNK), &advantages).unwrap()
+    gather(agents, batch, ChunkLayout::of(batch, CHUNK), &advantages).unwrap()
 }
 
 /// Log-probabilities of one agent's actions over sequences of `steps` steps, `[T, B]`.
 fn unrolled(agent: &Agent, batch: &Batch, index: usize, steps: usize) -> Vec<f64> {
-    let layout = Layout::of(batch, steps);
+    let layout = ChunkLayout::of(batch, steps);
     let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
     let (_, found, _) = agent.evaluate(&sequences).unwrap();
     let mut in_time = vec![0.0; batch.rows()];
@@ -130,7 +130,7 @@ fn outputs_by_shards_equal_those_of_one_pass() {
     for core in CORES {
         let agents = agents(&policy(core));
         let batch = played(&agents, &sample::problem());
-        let (agent, layout) = (&agents[0], Layout::of(&batch, CHUNK));
+        let (agent, layout) = (&agents[0], ChunkLayout::of(&batch, CHUNK));
         assert!(layout.rows() >= 128, "{} rows are one shard", layout.rows());
         let sequences = Sequences::of(&batch, 0, layout, agent.hidden_size());
         let (rows, _, features) = agent.evaluate(&sequences).unwrap();

@@ -7,7 +7,7 @@ use super::*;
 use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Final};
 use crate::state;
 
-const HALF: Horizon = Horizon { gamma: 0.5, steps: 3 };
+const HALF: NStepHorizon = NStepHorizon { gamma: 0.5, steps: 3 };
 
 fn problem() -> Problem {
     let shape = AgentShape {
