@@ -68,7 +68,8 @@ pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Re
 
 /// Upper left corner of a frame, pixels.
 fn place(index: u32) -> (u32, u32) {
-    let (row, column) = (index / COLUMNS, index % COLUMNS);
+    let row = index / COLUMNS;
+    let column = index % COLUMNS;
     (GAP + column * (WIDTH + GAP), GAP + row * (HEIGHT + CAPTION))
 }
 
@@ -187,7 +188,8 @@ fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
 /// Positions of the joints that agents drive, in the order of their actions; `anchors` are their positions on their
 /// links.
 fn places(world: &dyn EnvironmentBatch, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let (task, pose) = (world.description(), world.pose(0));
+    let task = world.description();
+    let pose = world.pose(0);
     let links = &pose.links[pose.links.len() - anchors.len()..];
     let place = |name: &String| {
         let index = pose.joints.iter().position(|joint| joint.name == *name)?;
@@ -226,8 +228,10 @@ fn legend(sheet: &mut Pixmap, captions: &mut Captions, agents: usize) {
     let rows = (agents as u32).div_ceil(in_row);
     let top = sheet.height() - rows * LEGEND;
     for agent in 0..agents {
-        let (row, column) = (agent as u32 / in_row, agent as u32 % in_row);
-        let (x, y) = (GAP + column * LEGEND_ENTRY, top + row * LEGEND + LEGEND / 3);
+        let row = agent as u32 / in_row;
+        let column = agent as u32 % in_row;
+        let x = GAP + column * LEGEND_ENTRY;
+        let y = top + row * LEGEND + LEGEND / 3;
         drawing::mark(sheet, x as f32 + 8.0, y as f32, agent);
         captions.agent(agent, x + 22, y);
     }
@@ -268,7 +272,8 @@ impl Captions {
         self.write(format!("{time_secs:.2} s"), f64::from(middle), below, TIME, TextAnchor::Middle);
         let inside = HALF_NUMBER..=WIDTH as f32 - HALF_NUMBER;
         for (metre, x) in camera.metres().filter(|(_, x)| inside.contains(x)) {
-            let (x, y) = (f64::from(left) + f64::from(x), f64::from(top + HEIGHT - 10));
+            let x = f64::from(left) + f64::from(x);
+            let y = f64::from(top + HEIGHT - 10);
             self.write(format!("{metre} m"), x, y, METRE, TextAnchor::Middle);
         }
     }

@@ -52,7 +52,8 @@ fn choose_registers() -> anyhow::Result<()> {
     }
     let available = kernels::Width::ALL.into_iter().filter(|width| width.is_available());
     let names: Vec<&str> = available.map(kernels::Width::name).collect();
-    let (name, names) = (name.to_string_lossy(), names.join(", "));
+    let name = name.to_string_lossy();
+    let names = names.join(", ");
     Err(Usage::new(format!("S2MIA_SIMD is {name}; this processor has {names}")).into())
 }
 

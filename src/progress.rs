@@ -169,7 +169,8 @@ impl RecentIterations {
     /// The same as one plain line.
     fn line(&self) -> String {
         let percent = 100.0 * self.env_steps() as f64 / self.total.max(1) as f64;
-        let (done, total) = (chart::thousands(self.env_steps()), chart::thousands(self.total));
+        let done = chart::thousands(self.env_steps());
+        let total = chart::thousands(self.total);
         format!("{done}/{total} steps ({percent:.1} %)  {}", self.figures())
     }
 

@@ -49,7 +49,8 @@ impl ActorConfig {
         let wrong = |why: &str| ActorError::Url { url: self.learner.clone(), why: why.to_owned() };
         addresses::check_port(&self.learner).map_err(|port| wrong(&port.to_string()))?;
         let url: Uri = self.learner.parse().map_err(|_| wrong("write http://HOST:50051"))?;
-        let (scheme, host) = (url.scheme_str(), url.host().unwrap_or_default());
+        let scheme = url.scheme_str();
+        let host = url.host().unwrap_or_default();
         match (&self.transport, scheme) {
             (Transport::Tls(_), Some("https")) | (Transport::PlainText, Some("http")) => Ok(()),
             (Transport::Tls(_), _) => Err(wrong("with --tls-ca it must start with https://")),

@@ -88,7 +88,8 @@ impl EnvironmentService {
     /// A function that decodes the states of these environments as far as the program is not needed: the header, and the
     /// history of an episode that is replayed.
     pub fn state_decoder(&self) -> impl Fn(&[u8]) -> Result<EpisodePosition, SimError> + use<> {
-        let (states, longest) = (self.states, self.spec.episode_steps);
+        let states = self.states;
+        let longest = self.spec.episode_steps;
         let most = self.spec.max_state_bytes as usize;
         let width = width(&self.offered);
         move |state| {
@@ -138,7 +139,8 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
             (offered.task.as_str(), actions.checked_add(KEY_BYTES as u64)?)
         }
     };
-    let (mut agents, mut ranges) = (offered.agents.clone(), String::new());
+    let mut agents = offered.agents.clone();
+    let mut ranges = String::new();
     for (index, agent) in agents.iter_mut().enumerate() {
         let ActionSpec { low, high, choices, .. } = agent.action;
         if choices.is_none() && (low, high) != (-1.0, 1.0) {

@@ -150,7 +150,8 @@ impl Connection {
         let answered = *answered.lock().unwrap_or_else(PoisonError::into_inner);
         let secs = answered.elapsed().as_secs_f64();
         if secs > config.max_outage_secs {
-            let (url, last) = (config.learner.clone(), line(error));
+            let url = config.learner.clone();
+            let last = line(error);
             return Err(match error {
                 ActorError::Environment(_) => ActorError::EnvironmentOutage { secs, last },
                 _ => ActorError::Outage { url, secs, last },
@@ -228,7 +229,9 @@ impl LeaseWorker<'_> {
 
     /// Processes a lease.
     async fn work(&mut self, lease: Lease, turn: MutexGuard<'_, ()>) -> Result<(), ActorError> {
-        let (id, client, own) = (lease.id, &mut self.client, &self.thread.own);
+        let id = lease.id;
+        let client = &mut self.client;
+        let own = &self.thread.own;
         let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
         let policy = client.weights(&self.connection.process.weights, lease.weights).await?;
         let steps = LeaseSteps::new(&self.thread.stepper, turn, lease, policy);

@@ -79,7 +79,8 @@ impl Stepper {
         handle: Option<LogHandle>,
     ) -> Result<Self, ActorError> {
         let slot = source.open(run.environments_per_slot as usize)?;
-        let (evaluation, source) = (source.open(1)?, source.clone());
+        let evaluation = source.open(1)?;
+        let source = source.clone();
         let worlds = Worlds { run, source, slot, evaluation, handle };
         // Environments of another program open their streams in the runtime.
         let runtime = tokio::runtime::Handle::current();

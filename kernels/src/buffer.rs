@@ -53,7 +53,8 @@ impl PaddedRows {
 
     /// Copies dense rows `[rows, width]` to the rows from `first` on.
     pub(crate) fn fill(&mut self, first: usize, dense: &[f32]) {
-        let (width, stride) = (self.width, self.stride());
+        let width = self.width;
+        let stride = self.stride();
         let lines = self.lines[first * stride..].chunks_exact_mut(stride);
         for (lines, row) in lines.zip(dense.chunks_exact(width)) {
             for (line, part) in lines.iter_mut().zip(row.chunks(LANES)) {

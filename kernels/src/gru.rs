@@ -100,7 +100,8 @@ impl Gru {
             simd.outlined(&weights.forward(x.range(0, rows), into, rows, start));
         }
         for step in 0..sequences.steps() {
-            let (from, to) = (step * count, (step + 1) * count);
+            let from = step * count;
+            let to = (step + 1) * count;
             let earlier = match step {
                 0 => trace.state.range(0, count),
                 _ => states.range(from - count, from),
@@ -134,7 +135,8 @@ impl Gru {
         let SequenceLayout { mask, count, .. } = sequences;
         trace.state.range_mut(0, count).fill(Line::default());
         for step in (0..sequences.steps()).rev() {
-            let (from, to) = (step * count, (step + 1) * count);
+            let from = step * count;
+            let to = (step + 1) * count;
             let gates = trace.gates.each_mut().map(|gate| gate.range_mut(from, to));
             let before = trace.before.range(from, to);
             cells_backward(simd, gates, before, g.range(from, to), trace.state.range_mut(0, count));
@@ -248,7 +250,9 @@ fn cells_backward<S: Simd>(
     let gates = r.iter_mut().zip(z).zip(n.iter_mut().zip(candidate));
     let known = g.iter().zip(before).zip(later);
     for (((r, z), (n, candidate)), ((g, before), later)) in gates.zip(known) {
-        let (reset, keep, new) = (simd.load(r), simd.load(z), simd.load(n));
+        let reset = simd.load(r);
+        let keep = simd.load(z);
+        let new = simd.load(n);
         let d = simd.add(simd.load(g), simd.load(later));
         let rest = simd.sub(one, keep);
         let through_keep = simd.mul(simd.mul(d, simd.sub(simd.load(before), new)), keep);

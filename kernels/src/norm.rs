@@ -79,7 +79,8 @@ impl Norm {
         let (stride, groups) = (stride(self.width), groups(self.width));
         let rows = x.chunks_exact(stride).zip(y.chunks_exact_mut(stride));
         for ((x, y), moments) in rows.zip(moments) {
-            let (x, y) = (&x[..groups], &mut y[..groups]);
+            let x = &x[..groups];
+            let y = &mut y[..groups];
             *moments = self.moments(simd, x);
             let (mean, inverse) = moments.splat(simd);
             for (group, (x, y)) in x.iter().zip(y).enumerate() {

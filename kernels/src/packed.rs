@@ -91,7 +91,8 @@ impl Packed {
 
     /// Checks the input's lengths and returns the number of rows.
     fn check(&self, input: Input<'_>) -> usize {
-        let (rows, inputs) = (input.rows.len() / self.network.inputs(), self.network.inputs());
+        let rows = input.rows.len() / self.network.inputs();
+        let inputs = self.network.inputs();
         assert_eq!(rows * inputs, input.rows.len(), "rows of {inputs} numbers");
         match (self.network.gru(), input.sequences) {
             (Some((_, hidden)), Some(given)) => {
@@ -160,7 +161,8 @@ impl Operation for Forward<'_> {
             match (&packed.layers[segment.start], sequences) {
                 (Part::Gru(gru), Some(sequences)) => {
                     let (before, after) = workspace.activations.split_at_mut(segment.start + 1);
-                    let (x, states) = (&before[segment.start], &mut after[0]);
+                    let x = &before[segment.start];
+                    let states = &mut after[0];
                     gru.forward(simd, x, sequences, states, &mut workspace.trace);
                 }
                 _ => {
@@ -249,7 +251,8 @@ impl Backward<'_> {
             for index in segment.clone().rev() {
                 let width = packed.network.layers()[index].inputs();
                 dx.resize((to - from) * stride(width), Line::default());
-                let (x, y) = (&activations[index], &activations[index + 1]);
+                let x = &activations[index];
+                let y = &activations[index + 1];
                 debug_assert_eq!(x.width(), width, "the workspace of another network");
                 let (x, y) = (x.range(from, to), y.range(from, to));
                 let range = packed.ranges[index].clone();

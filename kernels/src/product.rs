@@ -119,7 +119,9 @@ impl<'a> Product<'a> {
         if let InitialSum::Bias(bias) = start {
             assert!(groups <= bias.len(), "a bias of {} lines for {groups} groups", bias.len());
         }
-        let (relu, padded, borrowed) = (false, false, PhantomData);
+        let relu = false;
+        let padded = false;
+        let borrowed = PhantomData;
         Self { left, right, start, relu, columns, result, stride, padded, borrowed }
     }
 
@@ -136,7 +138,8 @@ impl Operation for &Product<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let tiles = self.left.rows.div_ceil(S::TILE_ROWS);
-        let (height, taller) = (self.left.rows / tiles, self.left.rows % tiles);
+        let height = self.left.rows / tiles;
+        let taller = self.left.rows % tiles;
         let groups = self.columns.div_ceil(LANES);
         let whole = if self.padded { groups } else { self.columns / LANES };
         let side_by_side = groups_of_tile::<S>(height + usize::from(taller > 0));

@@ -181,7 +181,8 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
     for (path, reason) in &loaded.skipped {
         tracing::error!("{} is damaged and skipped: {reason}", path.display());
     }
-    let (from, whole) = (loaded.checkpoint.iteration, loaded.skipped.is_empty());
+    let from = loaded.checkpoint.iteration;
+    let whole = loaded.skipped.is_empty();
     let latest = checkpoint::named_latest(&checkpoint::folder(folder.path()));
     if let Some(latest) = latest.filter(|at| *at > from && whole) {
         let path = loaded.path.display();
@@ -191,7 +192,8 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
     }
     let expected = launch.config_sha256.to_string();
     if loaded.manifest.config_sha256 != expected {
-        let (path, found) = (loaded.path, loaded.manifest.config_sha256);
+        let path = loaded.path;
+        let found = loaded.manifest.config_sha256;
         return Err(RunFolderError::OtherConfig { path, found, expected }.into());
     }
     Ok(Some(loaded))

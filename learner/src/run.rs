@@ -37,7 +37,8 @@ pub async fn run(
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
     let (lease, audit) = (launch.config.lease, launch.config.audit);
-    let (connections, states) = (launch.config.learner.connections, launch.states.clone());
+    let connections = launch.config.learner.connections;
+    let states = launch.states.clone();
     let facts = Facts::of(&launch);
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) =
@@ -50,7 +51,8 @@ pub async fn run(
     trainer.folder.note_address(address)?;
     let exchange = Exchange::new(description, lease, audit, states);
     let _shown = page.map(|page| show(page, facts, &trainer, &exchange));
-    let (asked, broken) = (Arc::clone(&exchange), Arc::new(AtomicBool::new(false)));
+    let asked = Arc::clone(&exchange);
+    let broken = Arc::new(AtomicBool::new(false));
     let service_ended = Arc::clone(&broken);
     let stop = move || {
         *stop.borrow() || asked.is_stop_requested() || service_ended.load(Ordering::Relaxed)
@@ -73,7 +75,8 @@ pub async fn run(
 
 /// Serves the run's page until the returned task set is dropped.
 fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
-    let (facts, exchange) = (facts.resumed_at(trainer.iteration), Arc::clone(exchange));
+    let facts = facts.resumed_at(trainer.iteration);
+    let exchange = Arc::clone(exchange);
     let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
     serving.spawn(page::serve(page, Arc::new(view)));

@@ -263,7 +263,8 @@ impl Critic {
 
     /// An optimiser step on the sequences `part`.
     fn step(&mut self, data: FitData<'_>, part: &[usize]) -> Result<(f64, f64), MarlError> {
-        let (weights, total) = (self.layers.weights()?, part.len());
+        let weights = self.layers.weights()?;
+        let total = part.len();
         let one = |range: Range<usize>| self.gradient(&weights, data, &part[range], total);
         let (loss, gradients) = shards::sum(&shards(total, data.values.layout.steps), &one)?;
         Ok((loss, self.adam.step(&self.parameters, &gradients)?))
@@ -287,7 +288,8 @@ impl Critic {
         let share = 1.0 / (total * layout.steps * self.count) as f64;
         let CriticConfig { clip, huber_delta, .. } = self.config;
         let places = order.iter().flat_map(|&row| row * self.count..(row + 1) * self.count);
-        let (mut loss, mut gradient) = (0.0, Vec::with_capacity(found.len()));
+        let mut loss = 0.0;
+        let mut gradient = Vec::with_capacity(found.len());
         for (&value, place) in found.iter().zip(places) {
             let old = values.normalized[place];
             let (own, slope) = value_loss(value, old, target[place], clip, huber_delta);

@@ -28,7 +28,8 @@ pub(crate) fn posterior_gradient(weight: f64, q: &HeadRows, p: &HeadRows, kappa:
     q.assert_same_shape(p);
     let (distribution, mut gradient) = (q.distribution(), q.zeros());
     for row in 0..q.count() {
-        let (weight, to) = (weight * influence(row, q, p, kappa).1, gradient.row_gradient(row));
+        let weight = weight * influence(row, q, p, kappa).1;
+        let to = gradient.row_gradient(row);
         distribution.add_kl_gradient_by_q(weight, q.row(row), p.row(row), to);
     }
     gradient

@@ -257,7 +257,8 @@ pub(crate) fn visit_spans(
 ) -> Result<(), MarlError> {
     for span in spans {
         let own = &mut values[span.var][span.range.clone()];
-        let (name, mut part) = (format!("{prefix}{}", span.name), own.to_vec());
+        let name = format!("{prefix}{}", span.name);
+        let mut part = own.to_vec();
         visitor.array(&name, ArrayShape::Fixed(&span.shape), Elements::F32(&mut part))?;
         own.copy_from_slice(&part);
     }

@@ -59,7 +59,8 @@ impl Surprise {
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
         let agent = |(index, shape): (usize, &AgentShape)| {
-            let (signal, key) = (&shape.surprise_features, (seed, index as u32));
+            let signal = &shape.surprise_features;
+            let key = (seed, index as u32);
             Ok(AgentSurprise::new(density::build(config.density, signal, key)?))
         };
         let agents = problem.agents.iter().enumerate().map(agent);
@@ -73,7 +74,9 @@ impl Surprise {
     /// # Errors
     /// If a tensor operation fails.
     pub fn refit(&mut self, batch: &Batch, iteration: u64) -> Result<(), MarlError> {
-        let (rows, alpha, seed) = (batch.rows(), self.alpha, self.seed);
+        let rows = batch.rows();
+        let alpha = self.alpha;
+        let seed = self.seed;
         let agents = self.agents.par_iter_mut().enumerate();
         agents.try_for_each(|(index, agent)| {
             let data = &batch.agents[index].observation;

@@ -90,7 +90,8 @@ impl ActorSpec {
         match self.core {
             CoreKind::Gru => {
                 let encoder = (self.observation, self.encoder);
-                let (tanh, gain) = (Activation::Tanh, TANH_GAIN);
+                let tanh = Activation::Tanh;
+                let gain = TANH_GAIN;
                 layers.push(LayerSpec::linear("encoder.linear", encoder, tanh, gain));
                 layers.push(LayerSpec::gru("gru", self.encoder, self.hidden));
                 layers.push(LayerSpec::norm("output.norm", self.hidden));
@@ -98,7 +99,8 @@ impl ActorSpec {
             CoreKind::Mlp => {
                 let mut from = self.observation;
                 for layer in 0..self.layers {
-                    let (name, shape) = (format!("layers.{layer}.linear"), (from, self.width));
+                    let name = format!("layers.{layer}.linear");
+                    let shape = (from, self.width);
                     layers.push(LayerSpec::linear(&name, shape, Activation::Relu, RELU_GAIN));
                     layers.push(LayerSpec::norm(&format!("layers.{layer}.norm"), self.width));
                     from = self.width;
@@ -188,7 +190,8 @@ impl ActorPolicy {
         let mut reader = Reader { arrays: &arrays, used: 0 };
         let standardisation = reader.standardisation(spec.observation)?;
         if spec.core == CoreKind::Mlp && spec.layers > reader.arrays.len() {
-            let (layers, found) = (spec.layers, reader.arrays.len());
+            let layers = spec.layers;
+            let found = reader.arrays.len();
             return Err(PolicyError::Snapshot(format!("{found} arrays for {layers} layers")));
         }
         let layers = spec.layer_specs(1.0);
@@ -202,7 +205,8 @@ impl ActorPolicy {
             }
         };
         if reader.used != arrays.len() {
-            let (found, used) = (arrays.len(), reader.used);
+            let found = arrays.len();
+            let used = reader.used;
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
         }
         Ok(Self { spec, arrays, standardisation, network, sigma })

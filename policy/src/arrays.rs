@@ -128,7 +128,8 @@ impl Array {
 
     fn check(&self, name: &str) -> Result<(), ArrayError> {
         let shape = self.shape().to_vec();
-        let (expected, found) = (shape.iter().product(), self.len());
+        let expected = shape.iter().product();
+        let found = self.len();
         if expected == found {
             return Ok(());
         }
@@ -146,7 +147,8 @@ fn numbers<const WIDTH: usize, N>(bytes: &[u8], number: impl Fn([u8; WIDTH]) -> 
 }
 
 fn from_view(name: &str, view: &TensorView<'_>) -> Result<Array, ArrayError> {
-    let (shape, bytes) = (view.shape().to_vec(), view.data());
+    let shape = view.shape().to_vec();
+    let bytes = view.data();
     match view.dtype() {
         Dtype::F32 => Ok(Array::F32 { shape, data: numbers(bytes, f32::from_le_bytes) }),
         Dtype::F64 => Ok(Array::F64 { shape, data: numbers(bytes, f64::from_le_bytes) }),

@@ -118,7 +118,8 @@ impl Parameters {
     /// # Errors
     /// If the number of variables or of elements is wrong.
     pub fn set(&self, values: Vec<Vec<f32>>) -> Result<(), PolicyError> {
-        let (given, wanted) = (values.len(), self.vars.len());
+        let given = values.len();
+        let wanted = self.vars.len();
         if given != wanted {
             return Err(PolicyError::Restore(format!("{given} variables, expected {wanted}")));
         }
@@ -135,7 +136,8 @@ impl Parameters {
     pub fn to_arrays(&self) -> Result<NamedArrays, PolicyError> {
         let values = self.values()?;
         let one = |span: &TensorSpan| {
-            let (shape, data) = (span.shape.clone(), values[span.var][span.range.clone()].to_vec());
+            let shape = span.shape.clone();
+            let data = values[span.var][span.range.clone()].to_vec();
             (span.name.clone(), Array::F32 { shape, data })
         };
         Ok(self.spans.iter().map(one).collect())

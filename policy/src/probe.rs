@@ -39,7 +39,8 @@ fn act(policy: &ActorPolicy, hash: &mut Sha256) {
     let mut rng = generator(RunSeed(0), Draw::of(Purpose::Probe).step(1));
     let mut hidden = vec![0.0; policy.hidden_size()];
     let mut output = vec![0.0; policy.output_size()];
-    let (mut action, mut scratch) = (vec![0.0; policy.action_size()], Scratch::default());
+    let mut action = vec![0.0; policy.action_size()];
+    let mut scratch = Scratch::default();
     for _ in 0..STEPS {
         let observation: Vec<f32> = (0..OBSERVATION).map(|_| standard_normal(&mut rng)).collect();
         policy.forward(1, &observation, &mut hidden, &mut output, &mut scratch);

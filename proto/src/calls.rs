@@ -270,7 +270,8 @@ impl Ack {
             Ok(wire::AckState::Repeated) => AckState::Repeated,
             _ => return Err(unknown("state", wire.state)),
         };
-        let (lease, sequence) = (LeaseId(wire.lease_id), wire.sequence);
+        let lease = LeaseId(wire.lease_id);
+        let sequence = wire.sequence;
         Ok(Self { lease, sequence, state, lease_finished: wire.lease_finished })
     }
 }

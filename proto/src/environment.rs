@@ -210,7 +210,8 @@ impl EnvironmentSpec {
 impl AgentSpec {
     pub(crate) fn to_wire(&self) -> wire::AgentSpec {
         let ActionSpec { size, low, high, choices } = self.action;
-        let (size, choices) = (size as u32, choices.unwrap_or(0));
+        let size = size as u32;
+        let choices = choices.unwrap_or(0);
         let indices = |places: &[usize]| places.iter().map(|&place| place as u32).collect();
         wire::AgentSpec {
             name: self.name.clone(),

@@ -13,7 +13,8 @@ pub(crate) fn leave_out(chunk: &mut wire::TrajectoryChunk, sizes: &Sizes<'_>) {
     let tensors = chunk.agents.iter_mut().map(|agent| agent.observation.get_or_insert_default());
     Observations { sizes, rows: &rows, tensors: tensors.collect() }.leave_out(chunk.state.as_ref());
     if let Some(finals) = &mut chunk.finals {
-        let (rows, tensors) = ([finals.steps.len()], finals.observations.iter_mut().collect());
+        let rows = [finals.steps.len()];
+        let tensors = finals.observations.iter_mut().collect();
         Observations { sizes, rows: &rows, tensors }.leave_out(finals.state.as_ref());
     }
 }
@@ -40,7 +41,8 @@ pub(crate) fn restored<'a>(
     // More final steps than steps are refused by name later.
     let possible = 1..=sizes.steps * sizes.environments;
     if let Some(finals) = chunk.finals.as_mut().filter(|it| possible.contains(&it.steps.len())) {
-        let (rows, tensors) = ([finals.steps.len()], finals.observations.iter_mut().collect());
+        let rows = [finals.steps.len()];
+        let tensors = finals.observations.iter_mut().collect();
         let field = |i: usize| format!("chunk.finals.observations[{i}]");
         let state = (finals.state.as_ref(), "chunk.finals.state");
         Observations { sizes, rows: &rows, tensors }.restore(state, field)?;
@@ -136,7 +138,8 @@ impl<'a> Copies<'a> {
 
     fn of_first(sizes: &Sizes<'a>, agent: usize) -> Option<Self> {
         let agents = &sizes.run.environment.agents;
-        let (first, own) = (&agents.first()?.observation, &agents.get(agent)?.observation);
+        let first = &agents.first()?.observation;
+        let own = &agents.get(agent)?.observation;
         let roles = |features: &'a [FeatureSpec]| features.iter().map(|feature| feature.role);
         if first.is_empty() || !roles(first).eq(roles(own)) {
             return None;

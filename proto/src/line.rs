@@ -51,7 +51,10 @@ impl RunLine {
     /// A run after `iteration` without other figures.
     #[must_use]
     pub fn without_figures(run_id: String, iteration: u64, env_steps: u64) -> Self {
-        let (env_steps_per_sec, episode_return, evaluation, end) = (0.0, None, None, None);
+        let env_steps_per_sec = 0.0;
+        let episode_return = None;
+        let evaluation = None;
+        let end = None;
         Self { run_id, iteration, env_steps, env_steps_per_sec, episode_return, evaluation, end }
     }
 

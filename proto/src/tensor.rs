@@ -128,7 +128,8 @@ fn checked<'a>(
         let found = tensor.data_type().as_str_name();
         return bad(Reason::BadType, format!("{found}, expected {}", data_type.as_str_name()));
     }
-    let (declared, length) = (Declared(&tensor.shape), tensor.data.len());
+    let declared = Declared(&tensor.shape);
+    let length = tensor.data.len();
     let width = if data_type == wire::DataType::F32 { 4 } else { 1 };
     let Some(bytes) = declared.elements().and_then(|elements| elements.checked_mul(width)) else {
         return bad(Reason::BadShape, format!("{declared} has too many elements"));

@@ -176,7 +176,8 @@ impl<'a> ShapedFinals<'a> {
         let Some(wire) = wire.filter(|wire| !wire.steps.is_empty()) else {
             return Ok(Self { keys: Vec::new(), values: None });
         };
-        let (count, most) = (wire.steps.len(), sizes.steps * sizes.environments);
+        let count = wire.steps.len();
+        let most = sizes.steps * sizes.environments;
         from_1_to(most, count, "entries", "chunk.finals.steps")?;
         length(wire.environments.len(), count, "chunk.finals.environments")?;
         let state = [count, sizes.state];
@@ -272,7 +273,8 @@ fn check_flags(chunk: &TrajectoryChunk, environments: usize) -> Result<(), Refus
     let Some(row) = both else {
         return Ok(());
     };
-    let (t, e) = (row / environments, row % environments);
+    let t = row / environments;
+    let e = row % environments;
     let detail = format!("step {t} of environment {e} is also terminated");
     Err(Refusal::new(Reason::Inconsistent, "chunk.truncated", detail))
 }

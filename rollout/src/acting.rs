@@ -78,7 +78,8 @@ impl Agents {
     /// key. `indices` are the global indices of the environments, in the order of the rows.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], context: DrawContext) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let (output, action) = (&self.output[agent], &mut self.action[agent]);
+            let output = &self.output[agent];
+            let action = &mut self.action[agent];
             for (place, &environment) in indices.iter().enumerate() {
                 let key =
                     Draw::of_action(context.iteration, environment, context.step, agent as u32);
@@ -105,7 +106,8 @@ impl Agents {
     /// Sets the actions to the means or the most likely choices.
     fn select_modes(&mut self, policy: &PolicySnapshot) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let (output, action) = (&self.output[agent], &mut self.action[agent]);
+            let output = &self.output[agent];
+            let action = &mut self.action[agent];
             for place in 0..self.environments {
                 let output = &output[row(output.len(), place, self.environments)];
                 let of_row = row(action.len(), place, self.environments);

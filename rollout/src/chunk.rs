@@ -87,7 +87,8 @@ impl ChunkBuilder {
 
     /// Returns the chunk and starts the next one.
     pub(crate) fn take(&mut self, environments: &dyn EnvironmentBatch) -> TrajectoryChunk {
-        let (sequence, first) = (self.chunk.sequence + 1, self.chunk.first_step + self.chunk.steps);
+        let sequence = self.chunk.sequence + 1;
+        let first = self.chunk.first_step + self.chunk.steps;
         std::mem::replace(self, Self::new(sequence, first, environments)).chunk
     }
 

@@ -19,7 +19,8 @@ impl FilmRecorder {
     /// too many capsules for a film.
     #[must_use]
     pub fn before(world: &dyn EnvironmentBatch) -> Option<Self> {
-        let (task, pose) = (world.description(), world.pose(0));
+        let task = world.description();
+        let pose = world.pose(0);
         if pose.links.is_empty() {
             return None;
         }

@@ -38,7 +38,8 @@ pub fn roll_out(
     mut on_event: impl FnMut(StepEvent<'_>),
     mut emit: impl FnMut(TrajectoryChunk) -> ControlFlow<()>,
 ) -> Result<(), SimError> {
-    let (opened, leased) = (world.count(), work.environments.len());
+    let opened = world.count();
+    let leased = work.environments.len();
     assert_eq!(opened, leased, "{opened} environments are open, the slot has {leased}");
     let mut slot = Slot::begin(run, work, policy, world)?;
     for step in 0..run.slot_steps {

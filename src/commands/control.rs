@@ -142,7 +142,8 @@ impl AtRest {
             iteration: loaded.checkpoint.iteration,
             env_steps: loaded.checkpoint.env_steps,
         });
-        let (run_id, iterations) = (run_path::name(run), config_of_run(run)?.iterations());
+        let run_id = run_path::name(run);
+        let iterations = config_of_run(run)?.iterations();
         Ok(Self { run_id, newest, iterations })
     }
 
@@ -163,7 +164,8 @@ impl AtRest {
 fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = Path::new(&arguments.learner.of);
     let rest = AtRest::of(run)?;
-    let (iterations, newest) = (rest.iterations, rest.newest.unwrap_or_default());
+    let iterations = rest.iterations;
+    let newest = rest.newest.unwrap_or_default();
     let Reached { iteration, env_steps } = newest;
     let state = if rest.is_finished() { "finished" } else { "stopped" };
     if arguments.json {
@@ -176,7 +178,9 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
         output::line(object);
         return Ok(());
     }
-    let (shown, run, steps) = (run.display(), shell::path(run), thousands(env_steps));
+    let shown = run.display();
+    let run = shell::path(run);
+    let steps = thousands(env_steps);
     let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
     output::line(match (rest.newest, rest.is_finished()) {
         (None, _) => format!(

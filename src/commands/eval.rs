@@ -44,9 +44,11 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     let simulator = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
-    let (run, steps) = (arguments.run.display(), chart::thousands(trained.env_steps));
+    let run = arguments.run.display();
+    let steps = chart::thousands(trained.env_steps);
     let seed = trained.config.run.seed;
-    let (first, last) = (trained.episode(0).id(), trained.episode(arguments.episodes - 1).id());
+    let first = trained.episode(0).id();
+    let last = trained.episode(arguments.episodes - 1).id();
     output::line(format!("{run}: {simulator}{task} after {steps} env steps"));
     output::line(format!("episodes {first} to {last}, seed {seed}\n"));
     output::line(as_table(&episodes, &spread));
@@ -60,7 +62,8 @@ fn play(
     arguments: &EvalArguments,
 ) -> anyhow::Result<Vec<Episode>> {
     let most = u64::from(world.description().episode_steps);
-    let (count, progress) = (arguments.episodes, WorkProgress::new());
+    let count = arguments.episodes;
+    let progress = WorkProgress::new();
     let episode = |episode: u32| {
         let choice = match arguments.sampled {
             Some(seed) => ActionChoice::Sampled { seed: seed.wrapping_add(episode.into()) },

@@ -230,7 +230,8 @@ fn demand_any(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> 
     if runs.iter().any(|run| record.holds(run) || RunFolder::holds_run(&run.folder)) {
         return Ok(());
     }
-    let (path, shown) = (shell::path(&file.path), file.path.display());
+    let path = shell::path(&file.path);
+    let shown = file.path.display();
     let why = format!("no run of {shown} has started; `s2mia experiment {path}` starts them");
     Err(Usage::new(why).into())
 }
@@ -243,7 +244,8 @@ fn all_finished(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<bo
 
 /// Result of a part of an experiment whose other runs are not finished.
 fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> String {
-    let (finished, file) = (tally.finished, shell::path(&arguments.file));
+    let finished = tally.finished;
+    let file = shell::path(&arguments.file);
     format!(
         "{finished} of {planned} selected runs are finished; when all runs are, `s2mia experiment {file} --report` \
          compares them"
@@ -265,7 +267,8 @@ fn finish(
 ) -> anyhow::Result<()> {
     let Tally { finished, failed, misplaced } = tally;
     if let Some(arguments) = stopped {
-        let (file, selection) = (shell::path(&arguments.file), arguments.selection());
+        let file = shell::path(&arguments.file);
+        let selection = arguments.selection();
         output::line(format!(
             "stopped with {finished} of {planned} runs finished; resume with `s2mia experiment {file}{selection}`"
         ));

@@ -57,7 +57,8 @@ fn export(
 ) -> anyhow::Result<Vec<(String, String)>> {
     let earlier = run_path::files(folder, is_exported)?;
     target::demand_free("--onnx", earlier.clone(), existing)?;
-    let (snapshot, task) = (&trained.policy, world.description());
+    let snapshot = &trained.policy;
+    let task = world.description();
     let common = common(trained, task);
     let mut files = Vec::new();
     for (index, (agent, described)) in snapshot.agents.iter().zip(&task.agents).enumerate() {

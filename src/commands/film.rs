@@ -64,7 +64,8 @@ fn target(arguments: &FilmArguments) -> anyhow::Result<Target> {
 
 /// The times that the strip shows.
 fn times_shown(frames: &[TimedPose<'_>], every_secs: f64) -> String {
-    let (first, last) = (frames[0].time_secs, frames[frames.len() - 1].time_secs);
+    let first = frames[0].time_secs;
+    let last = frames[frames.len() - 1].time_secs;
     match frames.len() {
         1 => format!("one frame, at {first:.2} s"),
         count => {
@@ -104,7 +105,9 @@ fn steps(arguments: &FilmArguments, dt_secs: f64, length: usize) -> Result<Vec<u
         arguments.from_secs.map_or(usual_start(dt_secs, length, span), |from| from / dt_secs);
     let last = from + span;
     if !(from >= 0.0 && last.round() <= length as f64) {
-        let (end, first, last) = (length as f64 * dt_secs, from * dt_secs, last * dt_secs);
+        let end = length as f64 * dt_secs;
+        let first = from * dt_secs;
+        let last = last * dt_secs;
         return Err(Usage::new(format!(
             "the frames reach from {first:.2} s to {last:.2} s, the episode from 0 s to {end:.2} s; \
              change --from-secs, --every-secs or --frames"
@@ -117,7 +120,8 @@ fn steps(arguments: &FilmArguments, dt_secs: f64, length: usize) -> Result<Vec<u
 
 /// Default first frame, in steps. A short episode is shown from its middle, or earlier if the frames then fit.
 fn usual_start(dt_secs: f64, length: usize, span: f64) -> f64 {
-    let (usual, length) = (UNDER_WAY / dt_secs, length as f64);
+    let usual = UNDER_WAY / dt_secs;
+    let length = length as f64;
     if usual + span <= length { usual } else { (length / 2.0).min(length - span).max(0.0) }
 }
 

@@ -28,7 +28,9 @@ pub(crate) struct LogArguments {
 /// Ends with status 1 if a file is damaged or a replayed step differs, with 3 if only data is missing.
 pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
     let paths = paths(&arguments.files)?;
-    let (all, mut done, progress) = (sizes(&paths), 0, WorkProgress::new());
+    let all = sizes(&paths);
+    let mut done = 0;
+    let progress = WorkProgress::new();
     let (mut cut_off, mut lost) = (0, 0);
     for path in &paths {
         let bytes = in_file(path, read_bytes(path))?;
@@ -85,7 +87,9 @@ fn replay(
         progress.reach(done + here as u64, all, place);
     });
     let Replayed { shares, steps, difference, other_program } = in_file(path, replayed)?;
-    let (shown, shares, steps) = (path.display(), thousands(shares), thousands(steps));
+    let shown = path.display();
+    let shares = thousands(shares);
+    let steps = thousands(steps);
     progress.print(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
     match (difference, other_program) {
         (None, _) => Ok(()),

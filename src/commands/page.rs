@@ -84,7 +84,8 @@ impl FollowedRun {
     }
 
     fn shown(&self) -> OverlaidRun {
-        let (name, curves) = (self.name.clone(), Arc::clone(&self.curves));
+        let name = self.name.clone();
+        let curves = Arc::clone(&self.curves);
         let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.trouble());
         let troubles = troubles.collect::<Vec<_>>().join("; ");
         let trouble = Some(troubles).filter(|troubles| !troubles.is_empty());

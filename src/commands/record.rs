@@ -51,7 +51,8 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         output::line(format!("{episode}: return {value:.2}, {steps} steps"));
     }
     let megabytes = summary.bytes as f64 / 1e6;
-    let (messages, shown) = (chart::thousands(summary.messages), target.path().display());
+    let messages = chart::thousands(summary.messages);
+    let shown = target.path().display();
     output::line(format!("{shown}: {messages} messages, {megabytes:.1} MB; open it in Foxglove"));
     Ok(())
 }
@@ -65,7 +66,8 @@ fn played(
 ) -> Result<RecordSummary, RecordError> {
     let world = hosted.environment.as_mut();
     let most = u64::from(world.description().episode_steps);
-    let (count, progress) = (episodes.len(), WorkProgress::new());
+    let count = episodes.len();
+    let progress = WorkProgress::new();
     recording::record(world, run, episodes, path, |index, step| {
         let place = || format!("episode {}/{count}, step {step}", index + 1);
         progress.reach(index as u64 * most + u64::from(step), count as u64 * most, place);
@@ -105,6 +107,7 @@ fn recorded<'a>(
         _ => String::new(),
     };
     let settings_toml = config.resolved.to_toml();
-    let (policy, weights) = (&trained.policy, trained.weights);
+    let policy = &trained.policy;
+    let weights = trained.weights;
     Ok(RecordedRun { policy, weights, metadata, settings_toml, task_settings })
 }

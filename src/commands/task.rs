@@ -76,8 +76,10 @@ fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
     for (path, text) in &texts {
         target::file(path, text.as_bytes())?;
     }
-    let (task, shown) = (&texts[0].0, texts[0].0.display());
-    let (check, train) = (shell::path(task), setting(task));
+    let task = &texts[0].0;
+    let shown = texts[0].0.display();
+    let check = shell::path(task);
+    let train = setting(task);
     output::line(format!("{shown}: next `s2mia task check {check}`, then `s2mia train {train}`"));
     Ok(())
 }

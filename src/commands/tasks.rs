@@ -65,7 +65,8 @@ fn picture(folder: &Path, task: &EnvironmentSpec) -> PathBuf {
 fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
     let Some(robot) = RobotShapes::of(world) else { return Ok(()) };
     let joints = film::distinct_joints(world)?;
-    let (task, pose) = (world.description(), world.pose(0));
+    let task = world.description();
+    let pose = world.pose(0);
     let path = picture(folder, task);
     target::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
     let names = task.agents.iter().flat_map(|agent| &agent.joints);
@@ -86,7 +87,8 @@ pub(super) fn as_table(task: &EnvironmentSpec) -> String {
         task.dt_secs
     );
     for agent in &task.agents {
-        let (name, joints) = (&agent.name, agent.joints.join(" "));
+        let name = &agent.name;
+        let joints = agent.joints.join(" ");
         let observation = agent.observation.len();
         let action = match agent.action.choices {
             None => format!("action {}: {joints}", agent.action.size),

@@ -111,7 +111,8 @@ pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
 
 /// `configs/base.toml` alone.
 fn base_layer() -> SettingsLayer {
-    let (place, values) = (presets::BASE.path.to_owned(), DEFAULTS.clone());
+    let place = presets::BASE.path.to_owned();
+    let values = DEFAULTS.clone();
     SettingsLayer { place, source: Source::Program, values }
 }
 

@@ -121,7 +121,8 @@ fn adapted(config: &RunConfig, place: &str) -> Option<u64> {
 /// A line for each variant with too few evaluations for a curve.
 pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
     let few = |run: &PlannedRun| {
-        let (steps, every) = (run.config.env_steps(), run.config.learner.evaluation.every_steps);
+        let steps = run.config.env_steps();
+        let every = run.config.learner.evaluation.every_steps;
         let count = steps / every;
         let advice = (steps / EVALUATIONS).max(1);
         (count < FEWEST).then(|| {

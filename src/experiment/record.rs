@@ -126,7 +126,9 @@ impl Record {
     /// The curve of the planned run, if the record contains it.
     pub(crate) fn curve(&self, run: &PlannedRun) -> Option<Curve> {
         let known = self.0.get(&name(run)).filter(|_| self.holds(run))?;
-        let (task, algorithm, seed) = (run.task.clone(), run.variant.clone(), run.seed.to_string());
+        let task = run.task.clone();
+        let algorithm = run.variant.clone();
+        let seed = run.seed.to_string();
         let points = points(&known.evaluations);
         Some(Curve { task, algorithm, seed, settings: BTreeMap::new(), points })
     }

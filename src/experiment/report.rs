@@ -52,13 +52,15 @@ pub(crate) fn write(
 /// runs are compared and added to the experiment's record.
 fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Curve>, Vec<usize>)> {
     let recorded = Record::read(&file.record)?;
-    let (mut record, kept) = (recorded.clone(), !file.record.as_os_str().is_empty());
+    let mut record = recorded.clone();
+    let kept = !file.record.as_os_str().is_empty();
     let (mut curves, mut finished) = (Vec::new(), Vec::new());
     for run in runs {
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
             None if is_there(run) => {
-                let (curve, done) = (of_folder(run)?, run_state(run) == RunFolderState::Finished);
+                let curve = of_folder(run)?;
+                let done = run_state(run) == RunFolderState::Finished;
                 if kept && done {
                     record.add(run, &curve)?;
                 }
@@ -76,7 +78,8 @@ fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Cur
 }
 
 fn of_folder(run: &PlannedRun) -> anyhow::Result<Curve> {
-    let (algorithm, settings) = (run.variant.clone(), BTreeMap::new());
+    let algorithm = run.variant.clone();
+    let settings = BTreeMap::new();
     Ok(Curve { algorithm, settings, ..learning_curve::read(&run.folder)? })
 }
 

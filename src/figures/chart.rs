@@ -57,7 +57,8 @@ fn row_label(row: usize, rows: usize, low: f64, high: f64) -> String {
 fn x_axis(points: &[(f64, f64)], width: usize, label: &str) -> String {
     let first = points.first().map_or(0.0, |point| point.0);
     let last = points.last().map_or(0.0, |point| point.0);
-    let (left, right) = (thousands(first as u64), format!("{} {label}", thousands(last as u64)));
+    let left = thousands(first as u64);
+    let right = format!("{} {label}", thousands(last as u64));
     let gap = width.saturating_sub(left.len() + right.len()).max(2);
     format!("{left}{}{right}", " ".repeat(gap))
 }

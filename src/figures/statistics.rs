@@ -28,9 +28,11 @@ pub(crate) fn interquartile_mean(values: &[f64]) -> f64 {
     if values.is_empty() {
         return f64::NAN;
     }
-    let (sorted, n) = (sorted(values), values.len() as f64);
+    let sorted = sorted(values);
+    let n = values.len() as f64;
     let in_the_middle = |rank: usize| {
-        let (from, to) = (rank as f64 / n, (rank + 1) as f64 / n);
+        let from = rank as f64 / n;
+        let to = (rank + 1) as f64 / n;
         (to.min(0.75) - from.max(0.25)).max(0.0)
     };
     sorted.iter().enumerate().map(|(rank, value)| 2.0 * in_the_middle(rank) * value).sum()
@@ -41,7 +43,8 @@ pub(crate) fn interquartile_mean(values: &[f64]) -> f64 {
 pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
     let sorted = sorted(values);
     let rank = share * values.len().saturating_sub(1) as f64;
-    let (below, part) = (rank.floor() as usize, rank.fract());
+    let below = rank.floor() as usize;
+    let part = rank.fract();
     match (sorted.get(below), sorted.get(below + 1)) {
         (Some(low), Some(high)) if part > 0.0 => low + part * (high - low),
         (Some(only), _) => *only,
@@ -141,7 +144,8 @@ pub(crate) fn permutation_p_value(strata: &[(Vec<f64>, Vec<f64>)], key: Draw) ->
 pub(crate) fn holm_adjusted(p_values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..p_values.len()).collect();
     order.sort_by(|&left, &right| p_values[left].total_cmp(&p_values[right]));
-    let (mut adjusted, mut largest) = (vec![0.0; p_values.len()], 0.0_f64);
+    let mut adjusted = vec![0.0; p_values.len()];
+    let mut largest = 0.0_f64;
     for (rank, &index) in order.iter().enumerate() {
         largest = largest.max((p_values.len() - rank) as f64 * p_values[index]).min(1.0);
         adjusted[index] = largest;

@@ -84,7 +84,8 @@ pub(super) fn add_legend(scene: &mut Scene, series: &[&Series]) {
     let top = scene.height;
     scene.height += rows as f64 * ROW + MARGIN;
     for (index, series) in series.iter().enumerate() {
-        let (x, y) = (left + (index / rows) as f64 * column, top + (index % rows) as f64 * ROW);
+        let x = left + (index / rows) as f64 * column;
+        let y = top + (index % rows) as f64 * ROW;
         entry(scene, series, (x, y + ROW / 2.0));
     }
 }

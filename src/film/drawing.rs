@@ -98,7 +98,8 @@ impl Camera {
     /// The whole metres in the frame and how many pixels from its left edge they are.
     pub(super) fn metres(&self) -> impl Iterator<Item = (i64, f32)> {
         let half = WIDTH as f32 / 2.0 / self.pixels_per_metre;
-        let (first, last) = ((self.middle - half).ceil(), (self.middle + half).floor());
+        let first = (self.middle - half).ceil();
+        let last = (self.middle + half).floor();
         (first as i64..=last as i64).map(|metre| (metre, self.pixel([metre as f32, 0.0]).0))
     }
 }
@@ -201,7 +202,8 @@ fn darker(colour: Rgb) -> Rgb {
 
 /// Fills everything within the radius of a line, pixels.
 fn rounded(pixmap: &mut Pixmap, [from, to]: [(f32, f32); 2], radius: f32, colour: Rgb) {
-    let (paint, still) = (paint(colour), Transform::identity());
+    let paint = paint(colour);
+    let still = Transform::identity();
     // Lines that end where they begin may be left out by a stroke.
     if (to.0 - from.0).abs() + (to.1 - from.1).abs() < 0.1 {
         if let Some(disc) = PathBuilder::from_circle(from.0, from.1, radius) {

@@ -71,7 +71,8 @@ impl PlayedEpisode {
             Outcome { terminated: true, .. } => "; the task's rules ended it early",
             _ => "",
         };
-        let (value, steps) = (self.extrinsic_return, self.steps());
+        let value = self.extrinsic_return;
+        let steps = self.steps();
         let measures = Measures::of(&self.moments, self.dt_secs);
         format!("return {value:.2}, {steps} steps; {measures}{end}")
     }
@@ -97,7 +98,8 @@ struct Moment {
 impl Moment {
     /// The current state of environment 0.
     fn of(world: &dyn EnvironmentBatch) -> Self {
-        let (pose, world) = (world.pose(0), robot(world));
+        let pose = world.pose(0);
+        let world = robot(world);
         Self {
             pose,
             impulse: world.contact_impulse(),
@@ -153,7 +155,8 @@ struct Measures {
 impl Measures {
     /// `moments` begins with the start, which counts for the distance only, and has at least one step.
     fn of(moments: &[Moment], dt_secs: f64) -> Self {
-        let (start, steps) = (&moments[0], &moments[1..]);
+        let start = &moments[0];
+        let steps = &moments[1..];
         let settled = (SETTLING_SECS / dt_secs).ceil() as usize;
         let share = |what: &dyn Fn(&Moment) -> bool| {
             steps.iter().filter(|moment| what(moment)).count() as f64 / steps.len() as f64
@@ -183,7 +186,8 @@ fn risen(moments: &[Moment]) -> f64 {
 impl fmt::Display for Measures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { distance, secs, airborne, upside_down, deepest, created } = self;
-        let (speed, millimetres) = (distance / secs, 1000.0 * deepest);
+        let speed = distance / secs;
+        let millimetres = 1000.0 * deepest;
         let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
         write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
         write!(f, "upside down {upside_down:.0} %, at most {millimetres:.1} mm in the floor, ")?;

@@ -40,7 +40,8 @@ impl Trained {
 /// Loads the newest checkpoint with correct hashes, or the checkpoint at `run`; refuses a run without any.
 pub(crate) fn load(run: &Path) -> anyhow::Result<Loaded> {
     load_if_any(run)?.with_context(|| {
-        let (shown, run) = (run.display(), shell::path(run));
+        let shown = run.display();
+        let run = shell::path(run);
         format!("{shown} has no checkpoint yet; if it has stopped, `s2mia train --resume {run}` begins it again")
     })
 }

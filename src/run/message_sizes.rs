@@ -101,7 +101,8 @@ fn refused(
     let resolved = &config.resolved;
     let refused = |key: &str, detail| {
         let cause = if resolved.is_given(key) { key } else { URL };
-        let (place, key) = (resolved.origin(cause).to_owned(), key.to_owned());
+        let place = resolved.origin(cause).to_owned();
+        let key = key.to_owned();
         ConfigError::Refused { place, key, detail }
     };
     let Some(fitting) = fitting else {

@@ -37,7 +37,8 @@ impl NewFolder {
     /// The folder contains a run, is in one, or has files of others that are not accepted.
     pub(crate) fn of(config: &RunConfig, task: &str, others: Others) -> anyhow::Result<Self> {
         let Some(path) = named(&config.resolved)? else {
-            let (algorithm, seed) = (config.resolved.text("algorithm"), config.run.seed);
+            let algorithm = config.resolved.text("algorithm");
+            let seed = config.run.seed;
             return Self::made(&run_path::default_folder(task, algorithm, seed, SystemTime::now()));
         };
         run_path::check_name(&path)?;
@@ -70,7 +71,8 @@ impl NewFolder {
         if let Some(runs) = name.parent() {
             durable::make_folder(runs)?;
         }
-        let (mut path, mut number) = (name.to_path_buf(), 1);
+        let mut path = name.to_path_buf();
+        let mut number = 1;
         loop {
             match std::fs::create_dir(&path) {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {

@@ -38,7 +38,8 @@ impl Offered {
 
     /// Refuses another environment than the one with which the run of `config` started.
     pub(crate) fn demand_that_of(&self, config: &RunConfig) -> Result<(), ConfigError> {
-        let (before, now) = (&config.environment.description, &self.description);
+        let before = &config.environment.description;
+        let now = &self.description;
         if before == now {
             return Ok(());
         }

@@ -85,7 +85,8 @@ pub(crate) fn demand_same_program(
         ("rollout_fingerprint", rollout, "computes other numbers"),
         ("config_sha256", config, "has other settings"),
     ] {
-        let (of_run, own) = (recorded(key), own.to_string());
+        let of_run = recorded(key);
+        let own = own.to_string();
         if of_run != own {
             return Err(Usage::new(format!(
                 "{} was trained by a program that {differs}: its {key} is {of_run}, this \

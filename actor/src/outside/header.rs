@@ -15,7 +15,8 @@ pub(super) fn history(
     past: &[u8],
     width: usize,
 ) -> Result<([u8; KEY_BYTES], Vec<f32>), SimError> {
-    let (found, expected) = (past.len(), KEY_BYTES + 4 * width * steps as usize);
+    let found = past.len();
+    let expected = KEY_BYTES + 4 * width * steps as usize;
     let Some((key, rest)) = past.split_first_chunk::<KEY_BYTES>().filter(|_| found == expected)
     else {
         let why = format!("its history has {found} bytes; {steps} steps have {expected}");
@@ -46,7 +47,9 @@ pub(super) fn read_header(
         return Err(StateError::External(why).into());
     };
     let number = u128::from_le_bytes(*header);
-    let (episode, step, limit) = (number as u64, (number >> 64) as u32, (number >> 96) as u32);
+    let episode = number as u64;
+    let step = (number >> 64) as u32;
+    let limit = (number >> 96) as u32;
     if step >= limit || limit > longest {
         let why = format!("its step is {step} of {limit}; an episode has at most {longest} steps");
         return Err(StateError::External(why).into());

@@ -144,7 +144,8 @@ impl Replay<'_> {
     /// Runs the policy over all blocks side by side: each starts from its own stored state, so one forward pass takes
     /// a step of every block.
     fn replay(&self, scratch: &mut Scratch) -> Replayed {
-        let (count, blocks) = (self.environments, self.blocks());
+        let count = self.environments;
+        let blocks = self.blocks();
         let (obs, units) = (self.policy.observation_size(), self.policy.hidden_size());
         let size = blocks * count * self.policy.output_size();
         let mut hidden = self.rows.hidden[..blocks * count * units].to_vec();
@@ -166,13 +167,15 @@ impl Replay<'_> {
 
     /// Whether an episode ended with this step of its block; `row` is `block * E + e`.
     fn is_done(&self, row: usize, step: usize) -> bool {
-        let (block, e) = (row / self.environments, row % self.environments);
+        let block = row / self.environments;
+        let e = row % self.environments;
         self.done[(block * self.every + step) * self.environments + e]
     }
 
     /// Compares the log-probabilities of one step.
     fn same_log_probs(&self, block: usize, step: usize, output: &[f32]) -> Result<(), Mismatch> {
-        let (count, act) = (self.environments, self.policy.action_size());
+        let count = self.environments;
+        let act = self.policy.action_size();
         let out = self.policy.output_size();
         let first = (step * self.blocks() + block) * count;
         let time = block * self.every + step;
@@ -196,7 +199,8 @@ impl Replay<'_> {
         match pairs.position(|(found, expected)| differs(*found, *expected)) {
             None => Ok(()),
             Some(at) => {
-                let (e, unit) = (at / self.policy.hidden_size(), at % self.policy.hidden_size());
+                let e = at / self.policy.hidden_size();
+                let unit = at % self.policy.hidden_size();
                 let (found, expected) = (found[at], expected[at]);
                 let detail = format!(
                     "{found} before step {step} of environment {e}, unit {unit}; the learner gets {expected}"

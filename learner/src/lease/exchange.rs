@@ -150,7 +150,8 @@ impl Exchange {
         version: PolicyVersion,
         snapshot: Bytes,
     ) -> Result<WeightsName, ExchangeError> {
-        let (agents, hidden) = (&self.run.environment.agents, &self.run.hidden_sizes);
+        let agents = &self.run.environment.agents;
+        let hidden = &self.run.hidden_sizes;
         let published = Published::parse(version, snapshot, agents, hidden)
             .map_err(|detail| ExchangeError::Weights { version, detail })?;
         let name = published.name;
@@ -338,7 +339,8 @@ impl Exchange {
                 }
                 Effect::BeginAgain(slot) => shared.wakes.push_back(Wake::BeginAgain(slot)),
                 Effect::GivenUp { actor, work, times, detail } => {
-                    let (work, actor) = (incidents::work(work), shared.names.call(actor));
+                    let work = incidents::work(work);
+                    let actor = shared.names.call(actor);
                     let error = ExchangeError::Work { work, times, actor, detail };
                     shared.wakes.push_back(Wake::Failed(error));
                 }

@@ -275,7 +275,9 @@ impl SlotTable {
         }
         self.last_lease = id.0;
         self.open.insert(id, OpenLease::new(owner, &claimed, self.now, self.rules.ttl));
-        let (weights, attempt, work) = (claimed.weights, claimed.attempt, (*claimed.work).clone());
+        let weights = claimed.weights;
+        let attempt = claimed.attempt;
+        let work = (*claimed.work).clone();
         Ok(Offer::Lease(Lease { id, incarnation, weights, attempt, work }))
     }
 

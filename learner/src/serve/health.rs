@@ -132,7 +132,8 @@ fn timed_out(url: &str, timeout: Duration) -> HealthError {
 
 /// The error for a failed call: rejected by the learner at `url`, or lost in transit.
 pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
-    let (url, detail) = (url.to_owned(), explanation(status));
+    let url = url.to_owned();
+    let detail = explanation(status);
     match status.code() {
         Code::InvalidArgument
         | Code::FailedPrecondition

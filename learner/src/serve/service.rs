@@ -205,8 +205,10 @@ impl LearnerService for Learner {
         }
         // A full channel means that the actor does not receive its acknowledgements; then no further message is read.
         let (acks, stream) = mpsc::channel(MAX_UNACKNOWLEDGED);
-        let (pushes, share) = (connections::pushes(&request), request.extensions().get().cloned());
-        let (messages, checks) = (request.into_inner(), Arc::clone(&self.checks));
+        let pushes = connections::pushes(&request);
+        let share = request.extensions().get().cloned();
+        let messages = request.into_inner();
+        let checks = Arc::clone(&self.checks);
         let results = Results { messages, pushes, share, checks };
         tokio::spawn(ingest::pump(Arc::clone(&self.exchange), caller, results, acks));
         Ok(Response::new(ReceiverStream::new(stream)))

@@ -22,7 +22,8 @@ impl RequiredToken {
             return Ok(());
         }
         let presented = if header.is_some() { "another token" } else { "no token" };
-        let (variable, file) = (Token::VARIABLE, self.file.display());
+        let variable = Token::VARIABLE;
+        let file = self.file.display();
         Err(Status::unauthenticated(format!(
             "the call has {presented}, but needs the run's: set {variable} to the contents of {file}, which only \
              its owner can read"

@@ -42,7 +42,8 @@ pub fn assemble(run: &RunDescription, rollouts: &[SlotRollout]) -> Batch {
     let mut batch = empty(run, rollouts.iter().map(SlotRollout::environments).sum());
     let mut first_environment = 0;
     for rollout @ SlotRollout { slot, chunks, .. } in rollouts {
-        let (mut steps, environments) = (0, rollout.environments());
+        let mut steps = 0;
+        let environments = rollout.environments();
         for chunk in chunks {
             assert_eq!(chunk.first_step as usize, steps, "slot {slot}: first step of a chunk");
             place(run, first_environment..first_environment + environments, chunk, &mut batch);

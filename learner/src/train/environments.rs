@@ -102,7 +102,8 @@ impl Environments {
         self.episode_return[environment] = 0.0;
         self.episode_length[environment] = 0;
         self.finished[environment] += 1;
-        let (episode, limit) = (self.finished[environment], self.episode_steps);
+        let episode = self.finished[environment];
+        let limit = self.episode_steps;
         self.starts[environment] = Start::Fresh { episode, limit };
     }
 

@@ -91,7 +91,8 @@ impl Evaluations {
     pub fn arrays(&self) -> NamedArrays {
         let Some(latest) = &self.latest else { return NamedArrays::new() };
         let iteration = Array::I64 { shape: vec![1], data: vec![latest.iteration as i64] };
-        let (shape, data) = (vec![latest.policy.len()], latest.policy.to_vec());
+        let shape = vec![latest.policy.len()];
+        let data = latest.policy.to_vec();
         [(ITERATION.to_owned(), iteration), (POLICY.to_owned(), Array::U8 { shape, data })].into()
     }
 

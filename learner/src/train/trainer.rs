@@ -209,7 +209,8 @@ impl RunningTrainer {
         if iteration < self.trainer.last_iteration {
             let per_slot = self.slot_size();
             let slots = self.trainer.environments.work(iteration, per_slot);
-            let (exchange, weights) = (&self.outside.exchange, PolicyVersion(iteration));
+            let exchange = &self.outside.exchange;
+            let weights = PolicyVersion(iteration);
             self.behaviour = Some(exchange.open_iteration(iteration, weights, slots));
             self.tell(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
         }
@@ -218,7 +219,8 @@ impl RunningTrainer {
     /// Environments of each slot of the next iteration, for the actor threads that are connected now.
     fn slot_size(&self) -> usize {
         let exchange = &self.outside.exchange;
-        let (threads, most) = (exchange.threads(), exchange.run().environments_per_slot as usize);
+        let threads = exchange.threads();
+        let most = exchange.run().environments_per_slot as usize;
         self.trainer.config.environments.slot_size(threads, most)
     }
 
@@ -283,7 +285,8 @@ impl RunningTrainer {
         if !self.trainer.evaluations.due(self.trainer.iteration) || !self.settle_evaluation()? {
             return Ok(());
         }
-        let (iteration, policy) = (self.trainer.iteration, self.trainer.policy.clone());
+        let iteration = self.trainer.iteration;
+        let policy = self.trainer.policy.clone();
         let evaluated = Evaluated { iteration, policy };
         self.open_evaluation(&evaluated)?;
         self.trainer.evaluations.begin(evaluated);

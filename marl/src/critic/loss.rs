@@ -40,7 +40,8 @@ pub fn value_loss(value: f64, old: f64, target: f64, clip: f64, delta: f64) -> (
 pub(crate) fn explained_variance(values: &[f64], returns: &[f64]) -> f64 {
     assert_shape("values", values.len(), returns.len());
     let rest = rounded(returns.iter().zip(values).map(|(r, v)| r - v).collect());
-    let (spread, left) = (mean_and_deviation(returns).1, mean_and_deviation(&rest).1);
+    let spread = mean_and_deviation(returns).1;
+    let left = mean_and_deviation(&rest).1;
     if spread > 0.0 { 1.0 - (left * left) / (spread * spread) } else { 0.0 }
 }
 

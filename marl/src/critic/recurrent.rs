@@ -99,7 +99,8 @@ impl Memory {
 impl Unrolled {
     /// From the states after every row, `[T * B, H]`, and those before the rollout, `start`, `[B, H]`.
     fn new(batch: &Batch, layout: ChunkLayout, states: &[f32], start: &[f32]) -> Self {
-        let (count, rows) = (batch.environments, batch.rows());
+        let count = batch.environments;
+        let rows = batch.rows();
         assert_shape("states", states.len() * count, start.len() * rows);
         let width = start.len() / count;
         let after = |row: usize| {
@@ -176,7 +177,8 @@ impl Critic {
         finals: &[f32],
     ) -> Result<(Vec<f64>, Vec<f64>, Unrolled), MarlError> {
         let weights = self.layers.constant_weights()?;
-        let (start, width) = (memory.start(batch.environments)?, memory.width);
+        let start = memory.start(batch.environments)?;
+        let width = memory.width;
         let layout = ChunkLayout::of(batch, batch.steps);
         let mask = mask(batch, layout);
         let whole = Run { layout, rows: &batch.state, start: &start, mask: &mask };

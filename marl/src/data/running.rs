@@ -29,7 +29,8 @@ impl RunningMoments {
     /// `mean = mean_a + d n_b / n`, `squares = squares_a + squares_b + d^2 n_a n_b / n`. Sums are in the order of rows.
     pub(crate) fn take_in(&mut self, rows: &[f32]) {
         let features = self.mean.len();
-        let (before, new) = (self.count, (rows.len() / features) as f64);
+        let before = self.count;
+        let new = (rows.len() / features) as f64;
         if new == 0.0 {
             return;
         }

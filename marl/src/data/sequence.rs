@@ -45,7 +45,8 @@ impl ChunkLayout {
     /// Time-major row `t * B + b` of step `step` of chunk `chunk`.
     #[must_use]
     pub fn source(&self, step: usize, chunk: usize) -> usize {
-        let (k, environment) = (chunk / self.environments, chunk % self.environments);
+        let k = chunk / self.environments;
+        let environment = chunk % self.environments;
         (k * self.steps + step) * self.environments + environment
     }
 
@@ -149,7 +150,8 @@ impl Sequences {
     /// # Errors
     /// If a tensor operation fails.
     pub(crate) fn input(&self, columns: &[usize]) -> Result<SequenceInput, MarlError> {
-        let (steps, count) = (self.layout.steps, columns.len());
+        let steps = self.layout.steps;
+        let count = columns.len();
         let (observation, hidden) = self.widths;
         let state = |&column: &usize| &self.hidden[column * hidden..(column + 1) * hidden];
         let start = columns.iter().flat_map(state).copied().collect();

@@ -30,7 +30,9 @@ impl Moments {
     /// Moments without rows, of the features `signal`.
     pub(super) fn new(signal: Vec<usize>) -> Self {
         let count = signal.len();
-        let (mean, variance, sigma) = (vec![0.0; count], vec![1.0; count], vec![1.0; count]);
+        let mean = vec![0.0; count];
+        let variance = vec![1.0; count];
+        let sigma = vec![1.0; count];
         let active = vec![false; count];
         Self { signal, mean, variance, sigma, active }
     }
@@ -95,7 +97,8 @@ impl Moments {
         visit_numbers(visitor, &format!("{prefix}variance"), &mut self.variance)?;
         visit_numbers(visitor, &format!("{prefix}sigma"), &mut self.sigma)?;
         let mut active: Vec<i64> = self.active.iter().map(|&a| i64::from(a)).collect();
-        let (name, shape) = (format!("{prefix}active"), [active.len()]);
+        let name = format!("{prefix}active");
+        let shape = [active.len()];
         visitor.array(&name, ArrayShape::Fixed(&shape), Elements::I64(&mut active))?;
         self.active = active.into_iter().map(|a| a == 1).collect();
         Ok(())

@@ -100,7 +100,9 @@ impl Vae {
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::DensityInitialisation).agent(agent));
         let mut parameters = Parameters::new();
-        let (features, hidden, latent) = (moments.signals(), config.hidden, config.latent);
+        let features = moments.signals();
+        let hidden = config.hidden;
+        let latent = config.latent;
         let (tanh, identity) = (Activation::Tanh, Activation::Identity);
         let mut pair = |name: &str, from: usize, to: usize, gain: f64| {
             let (first, second) = (format!("{name}.hidden"), format!("{name}.output"));
@@ -164,7 +166,8 @@ impl Vae {
         noise: &[f64],
     ) -> Result<Vec<f64>, MarlError> {
         let mean = numbers(&self.decoded(&rows(latent.sample(noise), self.latent)?)?)?;
-        let (log_sigma, width) = (numbers(self.log_sigma.as_tensor())?, self.moments.signals());
+        let log_sigma = numbers(self.log_sigma.as_tensor())?;
+        let width = self.moments.signals();
         let row = |(x, mean): (&[f32], &[f64])| -> f64 {
             let term = |i: usize| {
                 let z = (f64::from(x[i]) - mean[i]) / exp(log_sigma[i]);
@@ -212,9 +215,11 @@ impl Vae {
         inputs: &[f32],
         mean: &[f64],
     ) -> Result<(Vec<f64>, Vec<f64>), MarlError> {
-        let (log_sigma, width) = (numbers(self.log_sigma.as_tensor())?, self.moments.signals());
+        let log_sigma = numbers(self.log_sigma.as_tensor())?;
+        let width = self.moments.signals();
         let share = width as f64 / inputs.len() as f64;
-        let (mut d_mean, mut d_log_sigma) = (vec![0.0; mean.len()], vec![0.0; width]);
+        let mut d_mean = vec![0.0; mean.len()];
+        let mut d_log_sigma = vec![0.0; width];
         for row in (0..mean.len()).step_by(width) {
             for i in self.moments.counted() {
                 let sigma = exp(log_sigma[i]);
@@ -271,7 +276,8 @@ impl Density for Vae {
         if self.moments.features().0 == 0 {
             return Ok(());
         }
-        let (inputs, width) = (self.inputs(observations), self.moments.signals());
+        let inputs = self.inputs(observations);
+        let width = self.moments.signals();
         let DensityContext { seed, iteration, agent } = context;
         let draw = Draw::of(Purpose::DensityMinibatch).iteration(iteration).agent(agent);
         for epoch in 0..self.epochs {

@@ -81,7 +81,8 @@ fn total(counts: &BTreeMap<u32, u64>) -> u64 {
 fn divergence(conditional: &BTreeMap<u32, u64>, marginal: &BTreeMap<u32, u64>) -> f64 {
     let (n, of) = (total(conditional) as f64, total(marginal) as f64);
     let term = |(own, &count): (&u32, &u64)| {
-        let (p, q) = (count as f64 / n, marginal[own] as f64 / of);
+        let p = count as f64 / n;
+        let q = marginal[own] as f64 / of;
         p * log(p / q)
     };
     conditional.iter().map(term).sum()

@@ -122,7 +122,8 @@ impl Posterior {
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
         let mut parameters = Parameters::new();
-        let (others, joined) = (config.encoder, shape.features + config.encoder);
+        let others = config.encoder;
+        let joined = shape.features + config.encoder;
         let tanh = Activation::Tanh;
         let outputs = shape.kind.head().outputs(shape.action);
         let encoder = [LayerSpec::linear("encoder", (shape.others, others), tanh, TANH_GAIN)];
@@ -139,7 +140,8 @@ impl Posterior {
             }
             ActionKind::Discrete { .. } => None,
         };
-        let (config, adam) = (config.clone(), Adam::new(adam_config, &parameters));
+        let config = config.clone();
+        let adam = Adam::new(adam_config, &parameters);
         Ok(Self { config, shape, parameters, encoder, joined, sigma_correction, adam })
     }
 
@@ -184,10 +186,12 @@ impl Posterior {
         (seed, draw): (RunSeed, Draw),
     ) -> Result<f64, MarlError> {
         data.assert_shapes(self.shape);
-        let (mut reached, mut counted) = (self.log_likelihood(data, held_out)?, None);
+        let mut reached = self.log_likelihood(data, held_out)?;
+        let mut counted = None;
         for epoch in 0..self.config.epochs {
             let before = self.parameters.values()?;
-            let (mut likelihood, draw) = (0.0, draw.step(epoch as u32));
+            let mut likelihood = 0.0;
+            let draw = draw.step(epoch as u32);
             for part in minibatches(trained.len(), self.config.minibatches, seed, draw) {
                 let part: Vec<usize> = part.into_iter().map(|place| trained[place]).collect();
                 likelihood += self.step(data, &part)? * part.len() as f64 / trained.len() as f64;
@@ -213,13 +217,15 @@ impl Posterior {
     }
 
     fn step(&mut self, data: &Conditions<'_>, part: &[usize]) -> Result<f64, MarlError> {
-        let (weights, width) = (self.weights()?, self.shape.action);
+        let weights = self.weights()?;
+        let width = self.shape.action;
         let share = 1.0 / part.len() as f64;
         let one = |range: Range<usize>| {
             let rows = &part[range];
             let corrected = self.corrected(&weights, data, rows)?;
             let q = &corrected.posterior;
-            let (mut likelihood, mut gradient) = (0.0, q.zeros());
+            let mut likelihood = 0.0;
+            let mut gradient = q.zeros();
             for (place, &row) in rows.iter().enumerate() {
                 let action = &data.action[row * width..(row + 1) * width];
                 likelihood += share * q.log_prob_of(place, action);

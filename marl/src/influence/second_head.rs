@@ -41,7 +41,8 @@ impl SecondHead {
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
         let mut parameters = Parameters::new();
-        let (tanh, gain) = (Activation::Tanh, f64::from(policy.head_gain));
+        let tanh = Activation::Tanh;
+        let gain = f64::from(policy.head_gain);
         let encoder = (shape.others, config.encoder);
         let joined = (shape.features + config.encoder, config.hidden);
         let head = (config.hidden, shape.action);

@@ -96,14 +96,18 @@ pub fn actor_loss(
     coefficients: &Coefficients,
 ) -> (Figures, HeadRows) {
     rows.assert_shapes(p);
-    let (share, distribution, width) = (1.0 / total as f64, p.distribution(), p.action_size());
-    let (mut figures, mut gradient) = (Figures::default(), p.zeros());
+    let share = 1.0 / total as f64;
+    let distribution = p.distribution();
+    let width = p.action_size();
+    let mut figures = Figures::default();
+    let mut gradient = p.zeros();
     for row in 0..p.count() {
         let action = &rows.action[row * width..(row + 1) * width];
         let log_prob = distribution.log_prob(action, p.row(row));
         let slope = surrogate_slope(row, log_prob, rows, share, coefficients.clip, &mut figures);
         gradient.add_log_prob_gradient(slope, row, action, p);
-        let (weight, outputs) = (-coefficients.entropy * share, p.row(row).outputs);
+        let weight = -coefficients.entropy * share;
+        let outputs = p.row(row).outputs;
         figures.entropy += share * distribution.row_entropy(outputs);
         let d_outputs = gradient.row_gradient(row).outputs;
         distribution.add_row_entropy_gradient(weight, outputs, d_outputs);
@@ -175,7 +179,8 @@ fn add_influence(
         let (value, slope) = influence(row, q, p, kappa);
         figures.influence += share * value;
         figures.capped_fraction += share * (1.0 - slope);
-        let (weight, to) = (-lambda * share * slope, gradient.row_gradient(row));
+        let weight = -lambda * share * slope;
+        let to = gradient.row_gradient(row);
         p.distribution().add_kl_gradient_by_p(weight, q.row(row), p.row(row), to);
     }
 }

@@ -20,10 +20,12 @@ pub(crate) fn rectified_layers(
     normalisation: Normalisation,
     outputs: usize,
 ) -> Vec<LayerSpec> {
-    let (mut specs, mut from) = (Vec::new(), inputs);
+    let mut specs = Vec::new();
+    let mut from = inputs;
     for layer in 0..layers {
         let name = format!("layers.{layer}");
-        let (linear, relu) = (format!("{name}.linear"), Activation::Relu);
+        let linear = format!("{name}.linear");
+        let relu = Activation::Relu;
         specs.push(LayerSpec::linear(&linear, (from, width), relu, RELU_GAIN));
         if normalisation == Normalisation::LayerNorm {
             specs.push(LayerSpec::norm(&format!("{name}.norm"), width));

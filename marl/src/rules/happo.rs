@@ -39,7 +39,8 @@ fn sweep(
     let mut reports = vec![Report::new(); agents.len()];
     for (position, &index) in order.iter().enumerate() {
         swap_optimiser(agents, index);
-        let (agent, inputs) = (&mut agents[index], prepared.of(index));
+        let agent = &mut agents[index];
+        let inputs = prepared.of(index);
         let draw = Draw::of(Purpose::Minibatch).iteration(iteration).agent(index as u32);
         let trained = maximise(agent, inputs, &factor, (seed, draw))?;
         let change = policy_change(agent, inputs.experience)?;

@@ -79,7 +79,8 @@ impl Maddpg {
         if updates == 0 {
             return report;
         }
-        let (share, count) = (1.0 / updates as f64, self.agents.len() as f64);
+        let share = 1.0 / updates as f64;
+        let count = self.agents.len() as f64;
         let loss: f64 = sums.iter().map(|sum| sum.value_loss).sum();
         report.push(("losses/value_loss".to_owned(), share * loss / count));
         for (index, (agent, sum)) in self.agents.iter().zip(sums).enumerate() {

@@ -29,7 +29,8 @@ impl PolicyUpdate for Mappo {
         let changes = changes.collect::<Result<Vec<_>, _>>()?;
         let mut report = Report::new();
         for (index, trained) in trained.iter().enumerate() {
-            let (agent, experience) = (&agents[index], &prepared.experience[index]);
+            let agent = &agents[index];
+            let experience = &prepared.experience[index];
             report.extend(agent_report(agent, index, experience, trained, &changes[index])?);
         }
         adapt_learning_rates(agents, &changes);

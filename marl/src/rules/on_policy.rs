@@ -137,7 +137,8 @@ impl Prepared {
         let mut report = Report::new();
         for (index, influence) in self.influence.iter().enumerate() {
             let of = |valued: &[Vec<f64>]| rounded(mode.of_agent(valued, index));
-            let (known, returns) = (of(&self.values.now), of(&self.returns));
+            let known = of(&self.values.now);
+            let returns = of(&self.returns);
             let explained = explained_variance(&known, &returns);
             report.push((format!("agent{index}/explained_variance"), explained));
             report.extend(influence.report(index));
@@ -204,7 +205,8 @@ impl Team {
         }
         let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
         let experience = trace_span!("behaviour").in_scope(gathered)?;
-        let (agents, seed) = (&mut self.agents, self.seed);
+        let agents = &mut self.agents;
+        let seed = self.seed;
         let fitted = || agent::fit_posteriors(agents, &experience, seed, iteration);
         let influence = trace_span!("posteriors").in_scope(fitted)?;
         Ok(Some(Prepared { experience, influence, values, returns }))

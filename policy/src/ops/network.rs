@@ -114,7 +114,8 @@ impl Weights {
         x: &Tensor,
         recurrent: Option<RecurrentInput<'_>>,
     ) -> Result<(Tensor, Tensor)> {
-        let (rows, layers) = (x.dim(0)?, self.packed.network().layers());
+        let rows = x.dim(0)?;
+        let layers = self.packed.network().layers();
         let width = layers[layers.len() - 1].inputs();
         self.constants(x, recurrent, (rows, width), Workspace::append_features)
     }
@@ -146,7 +147,8 @@ impl Weights {
         append: impl FnOnce(&Workspace, &mut Vec<f32>),
     ) -> Result<(Tensor, Tensor)> {
         let op = Fused::new(&self.packed, x, recurrent)?;
-        let (rows, input) = (x.dim(0)?, values(x)?);
+        let rows = x.dim(0)?;
+        let input = values(x)?;
         let mut workspace = take_workspace();
         op.forward(&input, &mut workspace);
         let (mut found, mut output) = (Vec::new(), Vec::new());

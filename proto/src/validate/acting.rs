@@ -56,7 +56,8 @@ fn numbers<'a>(
     let mut named = BTreeSet::new();
     let mut shaped = Vec::new();
     for (i, (agent, tensor)) in rows.enumerate() {
-        let (agent, agents) = (agent as usize, sizes.len());
+        let agent = agent as usize;
+        let agents = sizes.len();
         let agent_field = format!("{list}[{i}].agent");
         if agent >= agents {
             return Err(bad_value(&agent_field, format!("{agent}, the team has {agents}")));

@@ -47,7 +47,9 @@ impl<'a> ShareCollector<'a> {
         lease: &Lease,
         work: &'a RolloutWork,
     ) -> Self {
-        let (iteration, slot, kind) = (work.iteration, work.slot, Kind::Rollout.into());
+        let iteration = work.iteration;
+        let slot = work.slot;
+        let kind = Kind::Rollout.into();
         let head = head(RunSeed(run.seed), lease.weights, lease.attempt);
         let common = Share { iteration, slot, kind, ..head };
         Self::new(common, Collected::Slot { work, episodes, steps: run.slot_steps })
@@ -124,7 +126,8 @@ impl<'a> ShareCollector<'a> {
             let Some(OpenShare { index, pose, state }) = open else { continue };
             let share = &mut self.shares[*index];
             let Outcome { reward, terminated, truncated, .. } = played.outcomes[environment];
-            let (state, step) = (std::mem::take(state), share.next_step());
+            let state = std::mem::take(state);
+            let step = share.next_step();
             share.steps.push(LoggedStep {
                 pose: std::mem::take(pose),
                 agents: agents(played, environment),

@@ -95,7 +95,8 @@ impl Player {
 
     /// Replays a share; returns the first difference, if any.
     fn play(&mut self, share: &LoggedShare) -> Result<Option<ReplayDifference>, LogError> {
-        let (episode, first) = (&share.head.episode_id, share.head.first_step);
+        let episode = &share.head.episode_id;
+        let first = share.head.first_step;
         let unfit = |why: String| LogError::Unfit(format!("{episode} from step {first} on: {why}"));
         self.world.restore(0, &share.head.environment_state).map_err(|e| unfit(e.to_string()))?;
         for step in &share.steps {

@@ -92,7 +92,8 @@ impl Log {
         let (commands, queue) = sync_channel(QUEUE * threads);
         let thread = std::thread::Builder::new().name("log".to_owned());
         let thread = thread.spawn(move || writer.work(&queue)).map_err(LogStartError::Thread)?;
-        let (episodes, actor) = (config.episodes, actor.to_owned());
+        let episodes = config.episodes;
+        let actor = actor.to_owned();
         Ok(Self { commands, lost, episodes, actor, thread })
     }
 

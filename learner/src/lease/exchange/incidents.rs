@@ -67,7 +67,8 @@ impl ActorNames {
                 }
             }
             Incident::Expired(lease) => {
-                let (who, still) = (self.call(lease.actor), lease.still_secs);
+                let who = self.call(lease.actor);
+                let still = lease.still_secs;
                 let slow = match (lease.chunks, lease.work) {
                     (0, LeasedWork::Slot(_)) => {
                         "; if its environments are this slow, lower environments.message_steps in a new run or raise \
@@ -81,7 +82,8 @@ impl ActorNames {
                 ))
             }
             Incident::Returned { lease, failure, detail, environments } => {
-                let (who, at) = (self.call(lease.actor), at(lease));
+                let who = self.call(lease.actor);
+                let at = at(lease);
                 let from = match failure {
                     LeaseFailure::StartState => {
                         format!("; the start states are from {}", self.senders(environments))
@@ -91,7 +93,8 @@ impl ActorNames {
                 Notice::Loss(format!("{who} returned its lease, {at}: {detail}; {FREE}{from}"))
             }
             Incident::Quarantined { actor, pause } => {
-                let (who, secs) = (self.call(*actor), pause.as_secs_f64());
+                let who = self.call(*actor);
+                let secs = pause.as_secs_f64();
                 Notice::Loss(format!(
                     "{who} is in quarantine: too many of its messages in a row were refused or of its leases expired; \
                      it gets no work for {secs:.1} s"

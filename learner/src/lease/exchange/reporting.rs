@@ -124,7 +124,8 @@ impl Exchange {
 
     /// Writes the figures of the slot table, the weights and the counters.
     fn measure(&self, shared: &Shared, snapshot: &mut RunSnapshot) {
-        let (counts, pace) = (shared.table.counts(), &shared.pace);
+        let counts = shared.table.counts();
+        let pace = &shared.pace;
         let chunk_steps = u64::from(self.run.chunk_steps) * counts.environments_per_slot as u64;
         snapshot.steps_collected = counts.chunks * chunk_steps;
         snapshot.chunks_accepted = shared.chunks_accepted;

@@ -100,7 +100,8 @@ impl Audits {
         };
         let audit = self.open.iter_mut().find(free)?;
         audit.holder = Some(id);
-        let (weights, work) = (audit.weights, Arc::clone(&audit.work));
+        let weights = audit.weights;
+        let work = Arc::clone(&audit.work);
         Some(Claimed { claim: Claim::Audit, weights, work, attempt: 1 })
     }
 

@@ -49,8 +49,10 @@ impl SlotTable {
 
     /// The first free slot, else the first free episode, that the actor's process may try after failures.
     fn claim_free(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
-        let (failures, processes) = (&self.failures, &self.actors.processes);
-        let (now, least) = (self.now, self.rules.least_trust());
+        let failures = &self.failures;
+        let processes = &self.actors.processes;
+        let now = self.now;
+        let least = self.rules.least_trust();
         let may_try = |key| failures.may_try(key, owner.process, processes.registered(least), now);
         self.works.values_mut().find_map(|works| works.claim(id, now, may_try))
     }
@@ -59,7 +61,9 @@ impl SlotTable {
     /// already that is slow too and shows nothing, it is replaced.
     fn claim_backup(&mut self, id: LeaseId, owner: Owner) -> Option<Claimed> {
         let now = self.now;
-        let (leases, processes, failures) = (&self.open, &self.actors.processes, &self.failures);
+        let leases = &self.open;
+        let processes = &self.actors.processes;
+        let failures = &self.failures;
         let holder = |held: &HeldLease| leases.get(held.id).map(|lease| lease.owner.process);
         let of_another =
             |held: &HeldLease| holder(held).is_some_and(|other| other != owner.process);

@@ -56,7 +56,8 @@ impl SlotTable {
     ) -> Result<Preview<Assignment>, Refusal> {
         let number = sequence.unwrap_or(0);
         let repeated = |lease_finished| {
-            let (lease, state) = (header.lease, AckState::Repeated);
+            let lease = header.lease;
+            let state = AckState::Repeated;
             Preview::Repeated(Ack { lease, sequence: number, state, lease_finished })
         };
         self.same_incarnation(header.incarnation)?;
@@ -124,7 +125,8 @@ impl SlotTable {
         if lease_finished {
             self.complete(id);
         }
-        let (sequence, state) = (sequence.unwrap_or(0), AckState::Accepted);
+        let sequence = sequence.unwrap_or(0);
+        let state = AckState::Accepted;
         Ok(Ack { lease: id, sequence, state, lease_finished })
     }
 
@@ -155,8 +157,10 @@ impl SlotTable {
             }
             works.release(key.index, other, slower);
         }
-        let (owner, took) = (lease.owner, self.now.saturating_sub(lease.begun));
-        let (work, weights) = (Arc::clone(&lease.work), lease.weights);
+        let owner = lease.owner;
+        let took = self.now.saturating_sub(lease.begun);
+        let work = Arc::clone(&lease.work);
+        let weights = lease.weights;
         match works.complete(key.index, id, lease) {
             Completion::Accepted => {
                 self.failures.forget(key);
@@ -191,7 +195,8 @@ impl SlotTable {
         if owner.trust != Trust::Exact || !self.audits.covers(work) {
             return None;
         }
-        let (own, processes) = (owner.process, &self.actors.processes);
+        let own = owner.process;
+        let processes = &self.actors.processes;
         let holds = |process| self.open.held_by(process) > 0;
         if !processes.can_audit_soon(own, self.now, holds) {
             let others = processes.registered(Trust::Exact).any(|process| process != own);

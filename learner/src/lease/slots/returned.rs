@@ -22,7 +22,8 @@ impl SlotTable {
         let (id, failure) = (returned.lease, returned.failure);
         let own = self.open.get(id).filter(|lease| lease.owner.actor == returned.actor);
         let Some(lease) = own else { return Ok(()) };
-        let (detail, environments) = (returned.detail.clone(), environments(lease));
+        let detail = returned.detail.clone();
+        let environments = environments(lease);
         let lease = lease.status(id, self.now);
         self.incidents.push(Incident::Returned { lease, failure, detail, environments });
         self.count_failure(id, failure, &returned.detail);
@@ -60,7 +61,8 @@ impl SlotTable {
                 }
             }
             Verdict::GiveUp(times) => {
-                let (status, detail) = (lease.status(id, self.now), detail.to_owned());
+                let status = lease.status(id, self.now);
+                let detail = detail.to_owned();
                 let (actor, work) = (status.actor, status.work);
                 self.effects.push(Effect::GivenUp { actor, work, times, detail });
             }

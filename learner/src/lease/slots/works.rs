@@ -145,7 +145,8 @@ impl Works {
         let (group, weights) = (self.group, self.weights);
         let item = &mut self.items[index];
         item.issued += 1;
-        let (work, attempt) = (Arc::clone(&item.work), item.issued - 1);
+        let work = Arc::clone(&item.work);
+        let attempt = item.issued - 1;
         Claimed { claim: Claim::Result(Key { group, index }), weights, work, attempt }
     }
 
@@ -183,7 +184,8 @@ impl Works {
 
     /// Replaces a slot that no lease computes, if there is such a slot. Results from its former start states are forgotten.
     pub(super) fn replace(&mut self, slot: RolloutWork) -> Option<Key> {
-        let (group, index) = (self.group, slot.slot as usize);
+        let group = self.group;
+        let index = slot.slot as usize;
         let item = self.items.get_mut(index)?;
         if iteration(&item.work) != slot.iteration {
             return None;

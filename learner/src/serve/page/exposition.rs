@@ -13,7 +13,8 @@ pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0
 /// All figures in OpenMetrics format.
 pub(super) fn text(view: &RunView) -> String {
     let mut metrics = Exposition(String::new());
-    let (facts, run) = (&view.facts, view.exchange.run_snapshot());
+    let facts = &view.facts;
+    let run = view.exchange.run_snapshot();
     metrics.memory();
     metrics.run(facts);
     metrics.progress(facts, &run);

@@ -75,7 +75,8 @@ fn run_routes(view: Arc<RunView>) -> Router {
 }
 
 fn overlay_routes(look: Arc<dyn Fn() -> Overlay + Send + Sync>) -> Router {
-    let (again, all) = (Arc::clone(&look), look);
+    let again = Arc::clone(&look);
+    let all = look;
     let page = PAGE.replacen("<html ", "<html data-view=\"runs\" ", 1);
     Router::new()
         .route("/", get(async move || html(page)))

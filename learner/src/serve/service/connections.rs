@@ -114,7 +114,8 @@ pub(super) fn accept(
     tokio::spawn(async move {
         let registry = Registry::new(most_with_actors);
         let mut accepting = Accepting::new(listener.listener, "actors and clients");
-        let (mut last, mut quiet_until) = (0, Instant::now());
+        let mut last = 0;
+        let mut quiet_until = Instant::now();
         loop {
             let (io, address) = tokio::select! {
                 () = sender.closed() => return,

@@ -104,7 +104,8 @@ impl PolicyService for Policies {
         let caller = connections::caller(&request, "act");
         let timeout = deadline::of(request.metadata()).unwrap_or(NO_DEADLINE);
         let end = Instant::now() + timeout.min(NO_DEADLINE);
-        let (newest, stop) = (self.served.newest.clone(), self.stop.clone());
+        let newest = self.served.newest.clone();
+        let stop = self.stop.clone();
         let steps = request.into_inner();
         tokio::spawn(async move {
             let status = tokio::select! {

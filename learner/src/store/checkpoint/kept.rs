@@ -87,7 +87,8 @@ pub(super) fn prune(
 
 /// Removes a checkpoint at once for its readers: it is renamed before its files are removed.
 fn remove(folder: &Path, name: &str) -> Result<(), FileError> {
-    let (place, draft) = (folder.join(name), folder.join(format!("{DRAFT}{name}")));
+    let place = folder.join(name);
+    let draft = folder.join(format!("{DRAFT}{name}"));
     durable::remove_folder(&draft)?;
     std::fs::rename(&place, &draft).map_err(FileError::of("remove", &place))?;
     durable::remove_folder(&draft)

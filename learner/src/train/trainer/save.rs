@@ -77,7 +77,8 @@ impl Trainer {
             arrays: self.arrays()?,
             policy: self.policy.to_vec(),
         };
-        let (folder, keep) = (self.folder.path(), &self.config.checkpoint);
+        let folder = self.folder.path();
+        let keep = &self.config.checkpoint;
         let sha256 = self.config_sha256.to_string();
         let settings = RunSettings { sha256: &sha256, toml: &self.settings_toml };
         let mut before = |step, _: &Path| {

@@ -207,7 +207,9 @@ impl MaddpgAgent {
 
 /// Polyak averaging: `target' = (1 - share) target + share source`, parameter by parameter.
 fn polyak_update(target: &Parameters, source: &Parameters, share: f64) -> Result<(), MarlError> {
-    let (share, mut slow, fast) = (share as f32, target.values()?, source.values()?);
+    let share = share as f32;
+    let mut slow = target.values()?;
+    let fast = source.values()?;
     for (slow, fast) in slow.iter_mut().flatten().zip(fast.iter().flatten()) {
         *slow = (1.0 - share) * *slow + share * fast;
     }

@@ -219,7 +219,9 @@ impl Replay {
     /// `horizon.steps`, or fewer at the end of the episode or of the replay. A truncation and the newest step bootstrap
     /// from the true final state; a termination does not bootstrap.
     fn n_step_target(&self, row: u64, horizon: NStepHorizon) -> NStepTarget<'_> {
-        let (mut reward, mut discount, mut at) = (0.0, 1.0, row);
+        let mut reward = 0.0;
+        let mut discount = 1.0;
+        let mut at = row;
         for _ in 0..horizon.steps {
             let here = self.row(at);
             reward += discount * f64::from(here[here.len() - 1]);
@@ -245,7 +247,8 @@ impl Replay {
         let mut sample = Sample::default();
         for _ in 0..count {
             let row = self.oldest() + below(self.len(), rng) as u64;
-            let (here, seen) = (self.row(row), self.columns.seen());
+            let here = self.row(row);
+            let seen = self.columns.seen();
             let target = self.n_step_target(row, horizon);
             self.columns.read(here, &mut sample.now);
             split(&here[seen..], &self.columns.actions, &mut sample.action);
@@ -279,7 +282,9 @@ impl Replay {
         if lengths == [kept; 2] && after.len() == finals.len() / seen {
             return Ok(());
         }
-        let (rows, ends, finals) = (self.rows.len() / width, self.ends.len(), finals.len() / seen);
+        let rows = self.rows.len() / width;
+        let ends = self.ends.len();
+        let finals = finals.len() / seen;
         Err(MarlError::Restore(format!(
             "replay/counts is {counts:?}, with {rows} replay/rows, {ends} replay/ends, {} replay/final_rows, {finals} \
              replay/finals",

@@ -54,7 +54,8 @@ impl Agent {
         seed: RunSeed,
         index: usize,
     ) -> Result<Self, MarlError> {
-        let (shape, number) = (&problem.agents[index], index as u32);
+        let shape = &problem.agents[index];
+        let number = index as u32;
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
         let (observation, action) = (shape.observation, shape.action);
         let head = shape.kind.head();
@@ -76,7 +77,8 @@ impl Agent {
         let wanted = influence.lambda > 0.0 && own.others > 0;
         let counts = influence.estimator == Estimator::Count;
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
-        let (shared, start_of_q) = (influence.q_training == QTraining::Shared, (seed, number));
+        let shared = influence.q_training == QTraining::Shared;
+        let start_of_q = (seed, number);
         let posterior = (wanted && !counts && !shared)
             .then(|| Posterior::new(influence, q_adam, own, start_of_q))
             .transpose()?;
@@ -150,7 +152,8 @@ impl Agent {
         &self,
         sequences: &Sequences,
     ) -> Result<(HeadRows, Vec<f64>, Tensor), MarlError> {
-        let (layout, weights) = (sequences.layout, self.network.weights()?);
+        let layout = sequences.layout;
+        let weights = self.network.weights()?;
         let parts = shards(layout.chunks, layout.steps);
         let one = |range: Range<usize>| {
             let columns: Vec<usize> = range.collect();

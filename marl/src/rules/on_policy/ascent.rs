@@ -137,7 +137,8 @@ pub(super) fn gradient(
     factor: &[f64],
     columns: &[usize],
 ) -> Result<(Figures, Gradients), MarlError> {
-    let (weights, total) = (agent.step_weights()?, columns.len());
+    let weights = agent.step_weights()?;
+    let total = columns.len();
     let shards = shards(total, inputs.experience.sequences.layout.steps);
     let one = |range: Range<usize>| shard(agent, &weights, inputs, factor, &columns[range], total);
     shards::sum(&shards, &one)
@@ -151,7 +152,8 @@ fn shard(
     columns: &[usize],
     total: usize,
 ) -> Result<(Figures, Gradients), MarlError> {
-    let (sequences, layout) = (&experience.sequences, experience.sequences.layout);
+    let sequences = &experience.sequences;
+    let layout = experience.sequences.layout;
     let (head, second) = agent.heads(weights, experience, columns)?;
     let p = HeadRows::of(&head)?;
     let q = second.as_ref().map(HeadRows::of).transpose()?;

@@ -28,7 +28,8 @@ pub(crate) struct Experience {
 impl Experience {
     /// Inputs of a posterior for every row.
     pub(super) fn conditions(&self) -> Conditions<'_> {
-        let (features, others) = (&self.features, self.others.as_slice());
+        let features = &self.features;
+        let others = self.others.as_slice();
         Conditions { features, others, action: &self.sequences.action, policy: &self.behaviour }
     }
 }

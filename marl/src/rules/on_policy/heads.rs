@@ -23,7 +23,8 @@ impl Agent {
         let Some(second) = &self.second_head else {
             return Ok(StepWeights::One(self.network.weights()?));
         };
-        let (policy, weights) = (self.network.split_weights()?, second.weights()?);
+        let policy = self.network.split_weights()?;
+        let weights = second.weights()?;
         Ok(StepWeights::Two { policy, second, weights })
     }
 
