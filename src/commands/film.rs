@@ -148,17 +148,19 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_evenly_spaced_from_five_seconds_on() {
-        assert_eq!(steps(&arguments(3, None, 0.05), 0.05, 1000).unwrap(), [100, 101, 102]);
-        assert_eq!(steps(&arguments(3, None, 0.5), 0.05, 1000).unwrap(), [100, 110, 120]);
+    fn frames_are_evenly_spaced_from_five_seconds_on_or_from_where_they_fit() {
+        for (frames, from_secs, every_secs, length, expected) in [
+            (3, None, 0.05, 1000, &[100, 101, 102][..]),
+            (3, None, 0.5, 1000, &[100, 110, 120]),
+            // A short episode is shown from its middle.
+            (3, None, 0.05, 40, &[20, 21, 22]),
+            (4, None, 0.05, 4, &[1, 2, 3, 4]),
+        ] {
+            let arguments = arguments(frames, from_secs, every_secs);
+            assert_eq!(steps(&arguments, 0.05, length).unwrap(), expected);
+        }
         // 0.05 s is 6.25 steps of 8 ms.
         assert_eq!(steps(&arguments(3, Some(0.0), 0.05), 0.008, 1000).unwrap(), [0, 6, 13]);
-    }
-
-    #[test]
-    fn a_short_episode_is_shown_from_its_middle_or_from_where_the_frames_fit() {
-        assert_eq!(steps(&arguments(3, None, 0.05), 0.05, 40).unwrap(), [20, 21, 22]);
-        assert_eq!(steps(&arguments(4, None, 0.05), 0.05, 4).unwrap(), [1, 2, 3, 4]);
     }
 
     #[test]

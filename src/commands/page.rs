@@ -199,18 +199,6 @@ mod tests {
     }
 
     #[test]
-    fn damaged_lines_are_counted_and_skipped() {
-        let folder = tempfile::tempdir().unwrap();
-        let text = "{\"env_steps\":40,\"a\":1}\n\0\0\0\n{\"env_st\n";
-        std::fs::write(folder.path().join("metrics.jsonl"), text).unwrap();
-        let mut run = in_no_group(folder.path());
-        assert!(run.follow());
-        assert_eq!(run.curves.newest("a"), Some(1.0));
-        assert_eq!(run.trouble().as_deref(), Some("metrics.jsonl: 2 damaged lines are skipped"));
-        assert!(!run.follow());
-    }
-
-    #[test]
     fn metrics_that_cannot_be_read_are_reported_once_until_they_can_be_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.jsonl");

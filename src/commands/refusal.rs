@@ -130,20 +130,20 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_flag_is_one_line_with_the_flag_that_was_meant() {
+    fn a_misspelt_word_is_one_line_with_the_word_that_was_meant() {
         let line = refusal(&["train", "--resum", "x"]);
         let found = "error: unexpected argument '--resum' found";
         assert_eq!(line, format!("{found}; did you mean `--resume`?; see --help"));
-        assert!(refusal(&["recor", "runs/x"]).contains("did you mean `record`?"));
         for (line, meant) in [
-            (&["trian"][..], "train"),
+            (&["recor", "runs/x"][..], "record"),
+            (&["trian"], "train"),
             (&["lgo"], "log"),
             (&["task", "chekc"], "check"),
             (&["task", "nwe", "x"], "new"),
+            (&["--log-format", "jsn", "tasks"], "json"),
         ] {
             assert!(refusal(line).contains(&format!("did you mean `{meant}`?")), "{line:?}");
         }
-        assert!(refusal(&["--log-format", "jsn", "tasks"]).contains("did you mean `json`?"));
     }
 
     #[test]
@@ -160,20 +160,14 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_run_folder_is_one_line() {
-        let line = refusal(&["plot"]);
-        assert!(line.contains("<RUN>"), "{line}");
-        assert!(!line.contains('\n'), "{line}");
-    }
-
-    #[test]
-    fn episodes_start_at_one() {
-        assert!(refusal(&["eval", "runs/x", "--episodes", "0"]).contains("--episodes"));
-    }
-
-    #[test]
-    fn a_strip_without_frames_is_refused() {
-        let line = refusal(&["film", "runs/x", "--frames", "0"]);
-        assert!(line.contains("--frames") && !line.contains('\n'), "{line}");
+    fn a_missing_and_a_wrong_value_are_one_line_with_their_argument() {
+        for (arguments, name) in [
+            (&["plot"][..], "<RUN>"),
+            (&["eval", "runs/x", "--episodes", "0"], "--episodes"),
+            (&["film", "runs/x", "--frames", "0"], "--frames"),
+        ] {
+            let line = refusal(arguments);
+            assert!(line.contains(name) && !line.contains('\n'), "{line}");
+        }
     }
 }

@@ -266,15 +266,14 @@ mod tests {
         }
     }
 
-    fn text(summary: &Summary, length: Length, evaluations: &[(f64, f64)]) -> String {
+    fn text(summary: &Summary, length: Length) -> String {
         let (folder, elapsed) = (Path::new("runs/a"), Duration::from_secs(723));
-        Closing { folder, summary, length, elapsed }.text(evaluations)
+        Closing { folder, summary, length, elapsed }.text(&[(0.0, -3.25), (1_000_000.0, 2345.62)])
     }
 
     #[test]
     fn a_finished_run_tells_return_checkpoint_and_next_commands() {
-        let evaluations = [(0.0, -3.25), (1_000_000.0, 2345.62)];
-        let text = text(&summary(), Length::MayRise, &evaluations);
+        let text = text(&summary(), Length::MayRise);
         for part in [
             "finished: 1,000,000 env steps, 250 iterations, 12m03s",
             "evaluation return -3.2 -> 2345.6",
@@ -300,18 +299,13 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_run_is_resumed_as_it_was() {
-        let stopped = Summary { stopped_early: true, ..summary() };
-        let text = text(&stopped, Length::MayRise, &[]);
-        assert!(text.ends_with("s2mia train --resume runs/a"), "{text}");
-        assert!(text.contains("stopped: "), "{text}");
-    }
-
-    #[test]
-    fn a_run_whose_steps_depended_on_its_length_is_made_longer_as_a_new_one() {
-        let text = text(&summary(), Length::Fixed, &[]);
+    fn a_stopped_run_is_resumed_as_it_was_and_one_of_a_fixed_length_made_longer_as_a_new_one() {
+        let stopped = text(&Summary { stopped_early: true, ..summary() }, Length::MayRise);
+        assert!(stopped.ends_with("s2mia train --resume runs/a"), "{stopped}");
+        assert!(stopped.contains("stopped: "), "{stopped}");
+        let fixed = text(&summary(), Length::Fixed);
         let last =
             "s2mia train --config runs/a/config.toml run.dir=runs/a-longer run.iterations=500";
-        assert!(text.ends_with(last), "{text}");
+        assert!(fixed.ends_with(last), "{fixed}");
     }
 }

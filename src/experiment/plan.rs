@@ -221,17 +221,14 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_of_a_file_below_configs_is_kept() {
-        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
-        let runs = plan(&ExperimentFile { path: "configs/a.toml".into(), ..file }).unwrap();
-        assert_eq!(runs[0].config.learner.evaluation.every_steps, 4_000);
-    }
-
-    #[test]
     fn an_interval_of_the_file_is_kept_and_remarked_on_if_it_is_too_long() {
-        let runs = planned_with("settings.evaluation.every_steps = 4_000");
-        assert_eq!(runs[0].config.learner.evaluation.every_steps, 4_000);
-        let lines = remarks(&runs);
+        // A default's origin is below configs, too.
+        for path in ["a.toml", "configs/a.toml"] {
+            let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+            let runs = plan(&ExperimentFile { path: path.into(), ..file }).unwrap();
+            assert_eq!(runs[0].config.learner.evaluation.every_steps, 4_000);
+        }
+        let lines = remarks(&plan(&toml::from_str(SAMPLE).unwrap()).unwrap());
         let happo = "note: happo has 2 evaluations after its start in 8,000 steps, too few for a curve; \
                      leave evaluation.every_steps out or set it to 800";
         assert_eq!((lines.len(), lines[0].as_str()), (2, happo));

@@ -188,8 +188,8 @@ fn median_steps(reached: &[Option<f64>]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn run(variant: &str, middle: f64, last: f64) -> Measured {
-        let returns = vec![(0.0, 0.0), (100.0, middle), (200.0, last)];
+    fn curve(variant: &str, returns: [f64; 3]) -> Measured {
+        let returns = [0.0, 100.0, 200.0].into_iter().zip(returns).collect();
         Measured { task: "ant-4x2".into(), variant: variant.into(), returns }
     }
 
@@ -203,10 +203,10 @@ mod tests {
     #[test]
     fn a_table_worked_by_hand_is_met() {
         let runs = [
-            run("happo", 10.0, 40.0),
-            run("new", 90.0, 100.0),
-            run("new", 60.0, 100.0),
-            run("new", 30.0, 20.0),
+            curve("happo", [0.0, 10.0, 40.0]),
+            curve("new", [0.0, 90.0, 100.0]),
+            curve("new", [0.0, 60.0, 100.0]),
+            curve("new", [0.0, 30.0, 20.0]),
         ];
         let variants = ["new".to_owned(), "happo".to_owned(), "absent".to_owned()];
         let rows = rows(&runs, &variants, "happo", 0.5);
@@ -225,11 +225,6 @@ mod tests {
             (happo.final_return.value, happo.area.value, happo.improvement),
             (40.0, 15.0, None)
         );
-    }
-
-    fn curve(variant: &str, returns: [f64; 3]) -> Measured {
-        let returns = [0.0, 100.0, 200.0].into_iter().zip(returns).collect();
-        Measured { task: "ant-4x2".into(), variant: variant.into(), returns }
     }
 
     #[test]
@@ -255,12 +250,8 @@ mod tests {
 
     #[test]
     fn a_run_that_begins_above_the_threshold_has_not_learnt_before_its_training() {
-        let runs = [
-            curve("happo", [0.0, 0.0, 100.0]),
-            curve("happo", [0.0, 0.0, 100.0]),
-            curve("happo", [0.0, 0.0, 100.0]),
-            curve("lucky", [90.0, 0.0, 10.0]),
-        ];
+        let happo = || curve("happo", [0.0, 0.0, 100.0]);
+        let runs = [happo(), happo(), happo(), curve("lucky", [90.0, 0.0, 10.0])];
         let rows = rows(&runs, &["happo".to_owned(), "lucky".to_owned()], "happo", 0.8);
         assert_eq!((rows[1].runs_at_threshold, rows[1].steps_to_threshold), (0, None));
     }

@@ -43,7 +43,7 @@ fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
 }
 
 #[test]
-fn a_link_is_drawn_where_it_is_and_nothing_far_from_it() {
+fn a_link_is_drawn_where_it_is_in_the_colour_of_its_agent_and_nothing_far_from_it() {
     let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
     let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
@@ -53,20 +53,12 @@ fn a_link_is_drawn_where_it_is_and_nothing_far_from_it() {
         assert_eq!(seen(&picture, &camera, point), drawing::colour(Some(0)), "{point:?}");
     }
     assert_eq!(seen(&picture, &camera, [7.0, 1.0]), drawing::colour(None));
+    assert_eq!(seen(&picture, &camera, [7.5, 0.5]), drawing::colour(Some(1)));
+    let colours = [drawing::colour(Some(0)), drawing::colour(Some(1)), drawing::colour(None)];
+    assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
     for point in [[6.5, 0.95], [6.35, 0.5], [7.0, 0.5], [8.2, 1.4], [7.0, -0.1]] {
         assert_eq!(seen(&picture, &camera, point), seen(&empty, &camera, point), "{point:?}");
     }
-}
-
-#[test]
-fn two_agents_have_two_colours_and_an_idle_link_a_third() {
-    let colours = [drawing::colour(Some(0)), drawing::colour(Some(1)), drawing::colour(None)];
-    assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
-    let (robot, pose) = two_legs();
-    let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
-    assert_eq!(seen(&picture, &camera, [6.5, 0.5]), colours[0]);
-    assert_eq!(seen(&picture, &camera, [7.5, 0.5]), colours[1]);
 }
 
 #[test]

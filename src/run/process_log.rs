@@ -78,34 +78,23 @@ mod tests {
     }
 
     #[test]
-    fn the_cause_is_the_last_error_of_the_process_itself() {
-        assert_eq!(
-            cause(&format!("{ERROR}{INFO}"), 1 << 8),
-            format!("exit status: 1: {}", ERROR.trim())
-        );
-        assert_eq!(
-            cause(&format!("{INFO}error: no task\n\n"), 2 << 8),
-            "exit status: 2: error: no task"
-        );
-    }
-
-    #[test]
-    fn the_cause_of_a_panic_is_its_message() {
+    fn the_cause_is_the_signal_or_the_last_error_or_panic_of_the_process_itself_or_its_status() {
         let panic = "thread 'step' panicked at src/a.rs:1:1:\nno slot 3\n\
                      note: run with `RUST_BACKTRACE=1` environment variable to display a backtrace\n";
-        assert_eq!(cause(panic, 101 << 8), "exit status: 101: no slot 3");
-    }
-
-    #[test]
-    fn a_process_without_an_error_has_its_status_as_cause() {
-        assert_eq!(cause(INFO, 1 << 8), "exit status: 1");
-        assert_eq!(cause("", 1 << 8), "exit status: 1");
-    }
-
-    #[test]
-    fn a_killed_process_has_the_signal_as_cause() {
-        assert_eq!(cause(&format!("{ERROR}{INFO}"), 9), "signal: 9 (SIGKILL)");
-        let aborted = cause(&format!("{INFO}memory allocation of 8 bytes failed\n"), ABORTED);
-        assert_eq!(aborted, "signal: 6 (SIGABRT): memory allocation of 8 bytes failed");
+        for (text, raw, expected) in [
+            (format!("{ERROR}{INFO}"), 1 << 8, format!("exit status: 1: {}", ERROR.trim())),
+            (format!("{INFO}error: no task\n\n"), 2 << 8, "exit status: 2: error: no task".into()),
+            (panic.to_owned(), 101 << 8, "exit status: 101: no slot 3".into()),
+            (INFO.to_owned(), 1 << 8, "exit status: 1".into()),
+            (String::new(), 1 << 8, "exit status: 1".into()),
+            (format!("{ERROR}{INFO}"), 9, "signal: 9 (SIGKILL)".into()),
+            (
+                format!("{INFO}memory allocation of 8 bytes failed\n"),
+                ABORTED,
+                "signal: 6 (SIGABRT): memory allocation of 8 bytes failed".into(),
+            ),
+        ] {
+            assert_eq!(cause(&text, raw), expected);
+        }
     }
 }

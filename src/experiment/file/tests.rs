@@ -91,16 +91,11 @@ fn the_document_shows_a_whole_file_and_names_every_field() {
 }
 
 #[test]
-fn a_table_of_settings_becomes_arguments() {
+fn settings_become_arguments_and_runs_share_the_cores_by_what_they_use_at_a_time() {
     let file = parse(SAMPLE).unwrap();
     assert_eq!(assignments(file.settings.as_ref().unwrap()), ["evaluation.every_steps=4000"]);
     let near = file.variants[1].settings.as_ref().unwrap();
     assert_eq!(assignments(near), ["observation.mode=k_nearest"]);
-}
-
-#[test]
-fn runs_share_the_cores_by_what_they_use_at_a_time() {
-    let file = parse(SAMPLE).unwrap();
     assert_eq!([1, 2, 8].map(|cores| file.runs_at_once(cores)), [1, 1, 4]);
 }
 

@@ -122,10 +122,7 @@ mod tests {
         ] {
             assert!(text.contains(line), "{line}\n{text}");
         }
-    }
-
-    #[test]
-    fn options_that_are_left_out_are_left_to_the_cluster() {
+        // What is left out is left to the cluster.
         let jobs = Jobs { runs: 5, runs_per_job: 1, limit: None };
         let text = script(&sample("a.toml"), &jobs, SlurmOptions::default()).unwrap();
         assert!(text.contains("#SBATCH --array=0-4\n"), "{text}");
