@@ -59,8 +59,9 @@ impl Client {
             status.set_source(Arc::new(error));
             ActorError::Refused(status)
         })?;
-        let token = authorization(config.token.as_ref());
-        let service = LearnerServiceClient::with_interceptor(channel, token)
+        let header = config.token.as_ref().map(Token::header);
+        let authorization = Authorization::new(header.as_deref());
+        let service = LearnerServiceClient::with_interceptor(channel, authorization)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
         Ok(Self { service })
@@ -162,11 +163,6 @@ impl Client {
         }
         Ok(bytes)
     }
-}
-
-fn authorization(token: Option<&Token>) -> Authorization {
-    let header = token.map(Token::header);
-    Authorization::new(header.as_deref()).expect("hexadecimal digits are valid in a header")
 }
 
 fn endpoint(config: &ActorConfig) -> Result<Endpoint, ActorError> {

@@ -10,7 +10,6 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 
 use crate::serve::health::{HealthError, answered, call_failed, connect};
-use crate::serve::token::authorization;
 
 /// A connection to the control service of a learner.
 #[derive(Clone, Debug)]
@@ -39,7 +38,9 @@ impl Operator {
         timeout: Duration,
     ) -> Result<Self, HealthError> {
         let channel = connect(url, tls, timeout).await?;
-        let service = ControlServiceClient::with_interceptor(channel, authorization(token));
+        let header = token.map(Token::header);
+        let authorization = Authorization::new(header.as_deref());
+        let service = ControlServiceClient::with_interceptor(channel, authorization);
         Ok(Self { url: url.to_owned(), timeout, service })
     }
 
