@@ -7,7 +7,7 @@ use crate::sizes::Sizes;
 use crate::{Digest, RolloutOrigin, RunDescription, digest, left_out, tensor, wire};
 
 /// Consecutive steps of one slot: `t` steps of `E` environments.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrajectoryChunk {
     /// Index of the chunk in the slot, from 0.
     pub sequence: u32,

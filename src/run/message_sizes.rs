@@ -133,9 +133,12 @@ fn refused(
 }
 
 #[cfg(test)]
-mod tests {
-    use proto::{Digest, Incarnation};
+#[expect(dead_code, reason = "the tests of messages also need chunks")]
+#[path = "../../proto/tests/wire/sample.rs"]
+mod sample;
 
+#[cfg(test)]
+mod tests {
     use super::*;
 
     fn config(settings: &[&str]) -> RunConfig {
@@ -152,25 +155,13 @@ mod tests {
             agent.observation = vec![agent.observation[0].clone(); observed];
         }
         RunDescription {
-            run_id: String::new(),
-            protocol_version: proto::PROTOCOL_VERSION,
-            incarnation: Incarnation(0),
-            seed: 0,
-            task_settings: String::new(),
             environment,
             environments_per_slot: 1,
             slot_steps: 50,
             chunk_steps: 50,
             hidden_sizes: vec![64; 2],
             hidden_every: 10,
-            rollout_fingerprint: Digest([0; 32]),
-            config_sha256: Digest([0; 32]),
-            heartbeat_secs: 1.0,
-            settings_toml: String::new(),
-            build: String::new(),
-            other_builds: false,
-            sampled_evaluations: false,
-            restores_observations: true,
+            ..sample::run()
         }
     }
 

@@ -144,13 +144,8 @@ pub(crate) fn chunk(lease: &Lease, sequence: u32) -> TrajectoryChunk {
         sequence,
         first_step: sequence,
         steps: 1,
-        agents: Vec::new(),
-        state: Vec::new(),
         reward: vec![lease.id.0 as f32],
-        terminated: Vec::new(),
-        truncated: Vec::new(),
-        finals: Vec::new(),
-        end: None,
+        ..TrajectoryChunk::default()
     }
 }
 

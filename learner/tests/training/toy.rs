@@ -148,7 +148,9 @@ pub(crate) fn roll_out(
 impl Slot<'_> {
     fn chunk(&mut self, sequence: u32) -> TrajectoryChunk {
         let first_step = sequence * self.run.chunk_steps;
-        let mut chunk = empty(sequence, first_step, self.run.chunk_steps);
+        let (steps, agents) = (self.run.chunk_steps, vec![AgentChunk::default(); 2]);
+        let mut chunk =
+            TrajectoryChunk { sequence, first_step, steps, agents, ..TrajectoryChunk::default() };
         for step in first_step..first_step + self.run.chunk_steps {
             self.step(step, &mut chunk);
         }
@@ -229,23 +231,6 @@ impl Slot<'_> {
             let size = policy.hidden_size();
             hidden[environment * size..][..size].fill(0.0);
         }
-    }
-}
-
-fn empty(sequence: u32, first_step: u32, steps: u32) -> TrajectoryChunk {
-    let agent =
-        || AgentChunk { observation: vec![], action: vec![], log_prob: vec![], hidden: vec![] };
-    TrajectoryChunk {
-        sequence,
-        first_step,
-        steps,
-        agents: vec![agent(), agent()],
-        state: vec![],
-        reward: vec![],
-        terminated: vec![],
-        truncated: vec![],
-        finals: vec![],
-        end: None,
     }
 }
 

@@ -1,57 +1,27 @@
 //! Tests of `assemble` with 2 slots of 2 environments, 4 steps in chunks of 2, and one agent with 1 feature, 2 action
 //! dimensions and 1 recurrent unit, stored every 2 steps.
 
-use proto::{ActionSpec, ActorId, AgentChunk, Digest, FeatureSpec, Incarnation, LeaseId, SlotEnd};
+#[expect(dead_code, reason = "the tests of messages also need chunks")]
+#[path = "../../../../proto/tests/wire/sample.rs"]
+mod sample;
+
+use proto::{ActionSpec, ActorId, AgentChunk, LeaseId, SlotEnd};
 
 use super::*;
 
 fn run() -> RunDescription {
-    RunDescription { slot_steps: 4, hidden_every: 2, ..run_of_one_agent(2, 1) }
+    RunDescription { slot_steps: 4, chunk_steps: 2, hidden_every: 2, ..run_of_one_agent(2, 1) }
 }
 
 /// A run of one agent with one feature, an action of `action` numbers and `hidden` recurrent units.
 pub(crate) fn run_of_one_agent(action: usize, hidden: u32) -> RunDescription {
-    let feature = FeatureSpec { name: "x".to_owned(), role: FeatureRole::Signal };
-    let agent = AgentSpec {
-        name: "agent_0".to_owned(),
-        joints: vec![],
-        observation: vec![feature.clone()],
-        seen: vec![],
-        near: vec![],
-        action: ActionSpec::continuous(action),
-    };
-    let environment = EnvironmentSpec {
-        task: "toy".to_owned(),
-        agents: vec![agent],
-        state: vec![feature],
-        dt_secs: 0.1,
-        episode_steps: 9,
-        state_kind: "toy".to_owned(),
-        state_version: 1,
-        max_state_bytes: 8,
-        feature_z: false,
-    };
-    RunDescription {
-        run_id: "toy".to_owned(),
-        protocol_version: proto::PROTOCOL_VERSION,
-        incarnation: Incarnation(1),
-        seed: 1,
-        task_settings: String::new(),
-        environment,
-        environments_per_slot: 2,
-        slot_steps: 3,
-        chunk_steps: 1,
-        hidden_sizes: vec![hidden],
-        hidden_every: 1,
-        rollout_fingerprint: Digest([0; 32]),
-        config_sha256: Digest([0; 32]),
-        heartbeat_secs: 1.0,
-        settings_toml: String::new(),
-        build: String::new(),
-        other_builds: false,
-        sampled_evaluations: false,
-        restores_observations: false,
-    }
+    let mut run = sample::run();
+    run.environment.state.truncate(1);
+    run.environment.agents.truncate(1);
+    run.environment.agents[0].observation.truncate(1);
+    run.environment.agents[0].action = ActionSpec::continuous(action);
+    let hidden_sizes = vec![hidden];
+    RunDescription { slot_steps: 3, chunk_steps: 1, hidden_sizes, hidden_every: 1, ..run }
 }
 
 /// A number that encodes its position: `100 * step + environment`.

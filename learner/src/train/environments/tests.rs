@@ -28,18 +28,7 @@ fn rollout() -> SlotRollout {
         environments: vec![vec![1, 2, 3], vec![4]],
         recurrent: vec![vec![0.1, 0.2, 0.3, 0.4]],
     };
-    let chunk = TrajectoryChunk {
-        sequence: 0,
-        first_step: 0,
-        steps: 3,
-        agents: vec![],
-        state: vec![],
-        reward: vec![],
-        terminated: vec![],
-        truncated: vec![],
-        finals: vec![],
-        end: Some(end),
-    };
+    let chunk = TrajectoryChunk { steps: 3, end: Some(end), ..TrajectoryChunk::default() };
     let (actor, lease, digests) = (ActorId(1), LeaseId(1), Vec::new());
     SlotRollout { slot: 0, actor, lease, chunks: vec![chunk], digests }
 }
