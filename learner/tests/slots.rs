@@ -9,14 +9,10 @@ mod cluster;
 mod episodes;
 #[path = "slots/events.rs"]
 mod events;
-#[path = "slots/faults.rs"]
-mod faults;
 #[path = "slots/leases.rs"]
 mod leases;
 #[path = "slots/network.rs"]
 mod network;
-#[path = "slots/random_cases.rs"]
-mod random_cases;
 #[path = "slots/results.rs"]
 mod results;
 #[path = "slots/returned.rs"]

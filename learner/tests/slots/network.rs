@@ -2,10 +2,10 @@
 //! restarted, and the learner restarts.
 
 use proptest::prelude::*;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
 use crate::cluster::Cluster;
 use crate::events::{ACTORS, MOST_IN_FLIGHT, SimulatedEvent};
-use crate::random_cases::for_all;
 
 /// Random events with their relative frequencies.
 fn event() -> impl Strategy<Value = SimulatedEvent> {
@@ -27,11 +27,33 @@ fn event() -> impl Strategy<Value = SimulatedEvent> {
     ]
 }
 
+/// The same on every machine, unless `SLOT_CASES_SEED` has another seed. A case that fails becomes a named test.
+fn randomness() -> TestRng {
+    let Ok(seed) = std::env::var("SLOT_CASES_SEED") else {
+        return TestRng::deterministic_rng(RngAlgorithm::ChaCha);
+    };
+    let seed: u64 = seed.parse().expect("SLOT_CASES_SEED is a number");
+    let mut bytes = [0; 32];
+    bytes[..8].copy_from_slice(&seed.to_le_bytes());
+    TestRng::from_seed(RngAlgorithm::ChaCha, &bytes)
+}
+
 #[test]
 fn a_cluster_on_a_faulty_network_consumes_each_slot_exactly_once_and_makes_progress() {
-    for_all(400, &proptest::collection::vec(event(), 0..600), |events| {
+    let config = Config {
+        cases: 400,
+        failure_persistence: None,
+        fork: false,
+        timeout: 0,
+        max_shrink_iters: 4096,
+        ..Config::default()
+    };
+    let lists = proptest::collection::vec(event(), 0..600);
+    let outcome = TestRunner::new_with_rng(config, randomness()).run(&lists, |events| {
         let mut cluster = Cluster::new();
         events.into_iter().for_each(|event| cluster.apply(event));
         cluster.settle();
+        Ok(())
     });
+    outcome.unwrap_or_else(|error| panic!("{error}"));
 }

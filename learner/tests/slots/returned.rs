@@ -8,8 +8,8 @@ use proto::{
 };
 
 use crate::table::{
-    Actor, Held, INCARNATION, TTL, actor, audited_table, beat, complete, lease, play, slot, table,
-    weights, works,
+    Actor, Held, INCARNATION, TTL, actor, audited_table, beat, complete, lease, play, second, slot,
+    table, weights, works,
 };
 
 /// Returns a lease; the table's effects besides those that wake actors.
@@ -45,7 +45,7 @@ fn continued() -> RolloutWork {
 fn a_slot_whose_start_state_two_actors_cannot_restore_waits_for_another_start() {
     let mut table = table(1);
     table.open_iteration(weights(), vec![continued()]);
-    let (one, two) = (actor(&mut table, 1), actor(&mut table, 2));
+    let [one, two, _silent] = [1, 2, 3].map(|connection| actor(&mut table, connection));
     let held = lease(&mut table, one);
     assert_eq!(give_back(&mut table, (one, &held), LeaseFailure::StartState), []);
     assert_eq!(one.ask(&mut table), Ok(Offer::Nothing), "another process tries it first");
@@ -80,6 +80,33 @@ fn a_process_that_is_alone_tries_again_and_work_that_always_fails_ends_the_run()
         detail: "broken".to_owned(),
     };
     assert_eq!(give_back(&mut table, (own, &held), LeaseFailure::Environment), [given_up]);
+}
+
+#[test]
+fn a_slot_that_continues_episodes_begins_again_after_four_failures() {
+    let mut table = table(1);
+    table.open_iteration(weights(), vec![continued()]);
+    let actors = [actor(&mut table, 1), actor(&mut table, 2)];
+    for times in 1..=4 {
+        let own = actors[times % 2];
+        let held = lease(&mut table, own);
+        let effects = give_back(&mut table, (own, &held), LeaseFailure::Environment);
+        assert_eq!(matches!(effects[..], [Effect::BeginAgain(_)]), times == 4, "{effects:?}");
+    }
+}
+
+#[test]
+fn a_process_that_fails_waits_for_one_that_has_not_tried_but_not_forever() {
+    let mut table = table(1);
+    let (own, _silent) = (actor(&mut table, 1), actor(&mut table, 2));
+    for times in 1..=6 {
+        let held = lease(&mut table, own);
+        let effects = give_back(&mut table, (own, &held), LeaseFailure::Environment);
+        assert_eq!(matches!(effects[..], [Effect::GivenUp { times: 6, .. }]), times == 6);
+        table.tick(TTL * times - second(1));
+        assert_eq!(own.ask(&mut table), Ok(Offer::Nothing), "the other one tries it first");
+        table.tick(TTL * times);
+    }
 }
 
 #[test]
