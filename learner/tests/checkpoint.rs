@@ -1,80 +1,18 @@
 //! Checkpoints survive crashes; damaged ones are never loaded.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::fs;
-use std::path::{Path, PathBuf};
+#[path = "checkpoint/run.rs"]
+mod run;
 
-use learner::config::CheckpointConfig;
-use learner::store::checkpoint::{
-    self, Before, Checkpoint, CheckpointError, Loaded, Manifest, RunSettings, Saved, Step,
-};
-use policy::arrays::{Array, NamedArrays, hex};
+use std::fs;
+use std::panic::AssertUnwindSafe;
+use std::path::Path;
+
+use learner::store::checkpoint::{self, CheckpointError, Manifest, Step};
+use policy::arrays::{Array, hex};
 use sha2::{Digest as _, Sha256};
 
-fn checkpoint(iteration: u64) -> Checkpoint {
-    let floats = |value: f32| Array::F32 { shape: vec![2, 2], data: vec![value, 0.5, -0.0, 1e-9] };
-    let count = Array::I64 { shape: vec![1], data: vec![iteration as i64] };
-    let arrays = NamedArrays::from([
-        ("weights/agent_0.head".to_owned(), floats(iteration as f32)),
-        ("weights/critic".to_owned(), floats(2.0)),
-        ("optimizer/agent_0.head.m".to_owned(), floats(3.0)),
-        ("environments/0000/state".to_owned(), Array::U8 { shape: vec![3], data: vec![1, 2, 3] }),
-        ("counters/iteration".to_owned(), count),
-    ]);
-    Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
-}
-
-fn keep(keep_last: usize) -> CheckpointConfig {
-    CheckpointConfig { every: 1, keep_last }
-}
-
-struct Run(tempfile::TempDir);
-
-const SETTINGS: RunSettings<'static> = RunSettings { sha256: "c0ffee", toml: "a = 1\n" };
-
-impl Run {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    fn with(iterations: &[u64]) -> Self {
-        let run = Self::new();
-        iterations.iter().for_each(|iteration| drop(run.save(*iteration, 10)));
-        run
-    }
-
-    fn save(&self, iteration: u64, keep_last: usize) -> Saved {
-        self.try_save(iteration, keep(keep_last), &mut |_, _| Ok(())).unwrap()
-    }
-
-    fn try_save(
-        &self,
-        iteration: u64,
-        keep: CheckpointConfig,
-        before: &mut Before<'_>,
-    ) -> Result<Saved, CheckpointError> {
-        checkpoint::save(self.0.path(), &checkpoint(iteration), SETTINGS, &keep, before)
-    }
-
-    fn load(&self) -> Loaded {
-        checkpoint::load_newest(self.0.path()).unwrap()
-    }
-
-    fn folder(&self) -> PathBuf {
-        checkpoint::folder(self.0.path())
-    }
-
-    fn path(&self, iteration: u64) -> PathBuf {
-        self.folder().join(format!("iter_{iteration:08}"))
-    }
-}
-
-fn files(place: &Path) -> Vec<PathBuf> {
-    let mut files: Vec<PathBuf> =
-        fs::read_dir(place).unwrap().map(|entry| entry.unwrap().path()).collect();
-    files.sort();
-    files
-}
+use run::{Run, checkpoint, files, names};
 
 /// Checks that the newest checkpoint is skipped with a reason that names `file`, and the previous one is loaded.
 fn falls_back(run: &Run, file: &Path) {
@@ -123,73 +61,84 @@ fn the_state_hash_covers_all_but_the_evaluation_and_the_weights_hash_the_weights
 fn the_newest_checkpoints_are_kept_and_older_ones_removed() {
     let run = Run::new();
     (1..=5).for_each(|iteration| drop(run.save(iteration, 2)));
-    let names: Vec<String> = files(&run.folder())
-        .iter()
-        .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
-        .collect();
-    assert_eq!(names, ["LATEST", "iter_00000004", "iter_00000005"]);
+    assert_eq!(names(&run.folder()), ["LATEST", "iter_00000004", "iter_00000005"]);
 }
 
-/// Saves iteration 2 on a disk that fails at step number `at`; a file is written in part before. Returns the failed
-/// step, if there are so many.
-fn failed_step(run: &Run, at: usize) -> Option<Step> {
+#[derive(Clone, Copy, Debug)]
+enum Fault {
+    DiskFull,
+    Crash,
+}
+
+/// Saves iteration 2 until step number `at`, at which a file is written in part. Returns the failed step, if there are so
+/// many.
+fn failed_step(run: &Run, at: usize, fault: Fault) -> Option<Step> {
     let (mut count, mut failed) = (0, None);
-    let saved = run.try_save(2, keep(10), &mut |step, path| {
+    let mut before = |step: Step, path: &Path| -> std::io::Result<()> {
         count += 1;
         if count <= at {
             return Ok(());
         }
-        if step == Step::WriteFile {
-            fs::write(path, "partial")?;
+        match step {
+            Step::WriteFile => fs::write(path, "partial")?,
+            Step::NameLatest => fs::write(path.with_file_name(".tmp-LATEST"), "iter_0")?,
+            _ => {}
         }
         failed = Some(step);
-        Err(std::io::ErrorKind::StorageFull.into())
-    });
-    assert_eq!(saved.is_err(), failed.is_some());
+        match fault {
+            Fault::DiskFull => Err(std::io::ErrorKind::StorageFull.into()),
+            // Leaves the files as they are.
+            Fault::Crash => std::panic::resume_unwind(Box::new(())),
+        }
+    };
+    let save = AssertUnwindSafe(|| run.write(&checkpoint(2), 10, &mut before).is_ok());
+    let saved = std::panic::catch_unwind(save).unwrap_or(false);
+    assert_ne!(saved, failed.is_some());
     failed
 }
 
 #[test]
-fn a_disk_error_at_any_step_keeps_the_previous_checkpoint_and_a_retry_succeeds() {
-    let mut seen = Vec::new();
-    for at in 0.. {
-        let run = Run::with(&[1]);
-        let Some(step) = failed_step(&run, at) else { break };
-        seen.push(step);
-        let loaded = run.load();
-        // The new checkpoint counts once it has been renamed.
-        let early =
-            matches!(step, Step::MakeFolder | Step::WriteFile | Step::FlushFiles | Step::Rename);
-        let newest = if early { 1 } else { 2 };
-        assert_eq!((loaded.checkpoint, loaded.skipped), (checkpoint(newest), vec![]), "{step:?}");
-        assert_eq!(checkpoint::load(&run.path(1)).unwrap().checkpoint, checkpoint(1));
-        run.save(2, 10);
-        assert_eq!(run.load().checkpoint, checkpoint(2), "{step:?}");
-    }
-    seen.dedup();
-    assert_eq!(seen, Step::ALL);
-}
-
-#[test]
-fn truncated_files_fall_back_to_the_previous_checkpoint() {
-    for file in files(&Run::with(&[1, 2]).path(2)) {
-        let size = fs::metadata(&file).map_or(100, |found| found.len());
-        for length in [0, 1, size / 2, size.saturating_sub(1)] {
-            let run = Run::with(&[1, 2]);
-            let file = run.path(2).join(file.file_name().unwrap());
-            let bytes = fs::read(&file).unwrap();
-            fs::write(&file, &bytes[..bytes.len().min(length as usize).min(bytes.len() - 1)])
-                .unwrap();
-            falls_back(&run, &file);
+fn a_full_disk_or_a_crash_at_any_step_keeps_the_previous_checkpoint_and_a_retry_succeeds() {
+    for fault in [Fault::DiskFull, Fault::Crash] {
+        let mut seen = Vec::new();
+        for at in 0.. {
+            let run = Run::with(&[1]);
+            let Some(step) = failed_step(&run, at, fault) else { break };
+            seen.push(step);
+            let loaded = run.load();
+            // The new checkpoint counts once it has been renamed.
+            let early = matches!(
+                step,
+                Step::MakeFolder | Step::WriteFile | Step::FlushFiles | Step::Rename
+            );
+            let newest = checkpoint(if early { 1 } else { 2 });
+            assert_eq!((loaded.checkpoint, loaded.skipped), (newest, vec![]), "{fault:?} {step:?}");
+            assert_eq!(checkpoint::load(&run.path(1)).unwrap().checkpoint, checkpoint(1));
+            run.save(2, 10);
+            assert_eq!(run.load().checkpoint, checkpoint(2), "{fault:?} {step:?}");
+            let whole = ["LATEST", "iter_00000001", "iter_00000002"];
+            assert_eq!(names(&run.folder()), whole, "{fault:?} {step:?}");
         }
+        seen.dedup();
+        assert_eq!(seen, Step::ALL);
     }
 }
 
 #[test]
-fn a_flipped_bit_in_any_byte_of_any_file_falls_back() {
+fn a_missing_linked_truncated_or_altered_file_falls_back_to_the_previous_checkpoint() {
     let run = Run::with(&[1, 2]);
+    let elsewhere = run.0.path().join("elsewhere");
     for file in files(&run.path(2)) {
         let bytes = fs::read(&file).unwrap();
+        fs::rename(&file, &elsewhere).unwrap();
+        falls_back(&run, &file);
+        std::os::unix::fs::symlink(&elsewhere, &file).unwrap();
+        falls_back(&run, &file);
+        fs::remove_file(&file).unwrap();
+        for length in [0, 1, bytes.len() / 2, bytes.len() - 1] {
+            fs::write(&file, &bytes[..length]).unwrap();
+            falls_back(&run, &file);
+        }
         let stride = if bytes.len() > 400 { 7 } else { 1 };
         for index in (0..bytes.len()).step_by(stride) {
             let mut flipped = bytes.clone();
@@ -200,34 +149,12 @@ fn a_flipped_bit_in_any_byte_of_any_file_falls_back() {
         fs::write(&file, bytes).unwrap();
     }
     assert_eq!(run.load().checkpoint, checkpoint(2));
-}
-
-#[test]
-fn a_missing_file_and_two_swapped_files_fall_back() {
-    let names = files(&Run::with(&[1, 2]).path(2));
-    for file in &names {
-        let run = Run::with(&[1, 2]);
-        let file = run.path(2).join(file.file_name().unwrap());
-        fs::remove_file(&file).unwrap();
-        falls_back(&run, &file);
-    }
-    let run = Run::with(&[1, 2]);
+    // Two files have each other's content.
     let [one, two] = ["optimizer", "weights"].map(|n| run.path(2).join(format!("{n}.safetensors")));
-    let bytes = fs::read(&one).unwrap();
+    fs::rename(&one, &elsewhere).unwrap();
     fs::rename(&two, &one).unwrap();
-    fs::write(&two, bytes).unwrap();
+    fs::rename(&elsewhere, &two).unwrap();
     falls_back(&run, &one);
-}
-
-#[cfg(unix)]
-#[test]
-fn symbolic_links_in_a_checkpoint_are_rejected() {
-    let run = Run::with(&[1, 2]);
-    let file = run.path(2).join("weights.safetensors");
-    let elsewhere = run.0.path().join("elsewhere");
-    fs::rename(&file, &elsewhere).unwrap();
-    std::os::unix::fs::symlink(&elsewhere, &file).unwrap();
-    falls_back(&run, &file);
 }
 
 #[test]
@@ -272,36 +199,6 @@ fn a_run_without_checkpoints_is_an_error() {
 }
 
 #[test]
-fn a_crash_at_any_step_leaves_the_old_or_the_new_checkpoint() {
-    let whole = Run::with(&[2]);
-    let written = files(&whole.path(2));
-    // Before the rename: the draft contains the first n files, the last of them truncated.
-    for count in 0..=written.len() {
-        let run = Run::with(&[1]);
-        let draft = run.folder().join(".tmp-iter_00000002");
-        fs::create_dir(&draft).unwrap();
-        for (index, file) in written.iter().take(count).enumerate() {
-            let bytes = fs::read(file).unwrap();
-            let end = if index + 1 == count { bytes.len() / 2 } else { bytes.len() };
-            fs::write(draft.join(file.file_name().unwrap()), &bytes[..end]).unwrap();
-        }
-        let loaded = run.load();
-        assert_eq!((loaded.checkpoint, loaded.skipped), (checkpoint(1), vec![]));
-        // The next attempt removes the draft.
-        run.save(2, 10);
-        assert_eq!(run.load().checkpoint, checkpoint(2));
-        assert!(!draft.exists());
-    }
-    // After the rename, before LATEST is replaced: the new checkpoint counts.
-    let run = Run::with(&[1, 2]);
-    fs::write(run.folder().join("LATEST"), "iter_00000001\n").unwrap();
-    assert_eq!(run.load().checkpoint, checkpoint(2));
-    // While LATEST is being replaced.
-    fs::write(run.folder().join(".tmp-LATEST"), "iter_0").unwrap();
-    assert_eq!(run.load().checkpoint, checkpoint(2));
-}
-
-#[test]
 fn a_damaged_checkpoint_is_replaced_when_its_iteration_is_repeated() {
     let run = Run::with(&[1, 3]);
     fs::write(run.path(3).join("weights.safetensors"), "damaged").unwrap();
@@ -315,11 +212,9 @@ fn a_damaged_checkpoint_is_replaced_when_its_iteration_is_repeated() {
 
 #[test]
 fn an_array_outside_all_groups_is_rejected_by_name() {
-    let run = Run::new();
     let mut invalid = checkpoint(1);
     invalid.arrays.insert("extra/x".to_owned(), Array::U8 { shape: vec![0], data: vec![] });
-    let saved = checkpoint::save(run.0.path(), &invalid, SETTINGS, &keep(1), &mut |_, _| Ok(()));
-    let error = saved.unwrap_err().to_string();
+    let error = Run::new().write(&invalid, 1, &mut |_, _| Ok(())).unwrap_err().to_string();
     assert!(error.contains("array extra/x belongs to none of the groups"), "{error}");
 }
 
