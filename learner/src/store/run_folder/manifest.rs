@@ -38,39 +38,3 @@ pub(super) fn read(path: &Path) -> Result<Value, RunFolderError> {
         _ => Err(damaged("its content does not have its SHA-256".to_owned())),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use serde_json::json;
-
-    use super::*;
-    use crate::store::run_folder::RunFolder;
-
-    #[test]
-    fn a_flipped_bit_in_any_byte_but_a_blank_is_damage() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("manifest.json");
-        write(&path, json!({"config_sha256": "aa", "seed": 7})).unwrap();
-        let good = std::fs::read(&path).unwrap();
-        assert_eq!(read(&path).unwrap()["config_sha256"], "aa");
-        for at in (0..good.len()).filter(|at| !good[*at].is_ascii_whitespace()) {
-            let mut bad = good.clone();
-            bad[at] ^= 1;
-            std::fs::write(&path, &bad).unwrap();
-            let error = read(&path).unwrap_err();
-            assert!(matches!(error, RunFolderError::Damaged { .. }), "byte {at}: {error}");
-        }
-    }
-
-    #[test]
-    fn a_run_that_ever_had_a_foreign_actor_says_so_for_good() {
-        let folder = tempfile::tempdir().unwrap();
-        let start = json!({"config_sha256": "aa"});
-        let run = RunFolder::claim_new(folder.path()).unwrap();
-        run.begin("", &start).unwrap();
-        assert_eq!(run.manifest().unwrap()["foreign_actors"], false);
-        run.note_foreign_actors().unwrap();
-        run.begin("", &start).unwrap();
-        assert_eq!(run.manifest().unwrap()["foreign_actors"], true);
-    }
-}

@@ -54,38 +54,3 @@ impl RunFolder {
         token.map(Some).map_err(|why| RunFolderError::Damaged { path, detail: why.to_string() })
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::os::unix::fs::PermissionsExt as _;
-
-    use super::*;
-
-    #[test]
-    fn the_token_file_is_its_owners_only_and_goes_with_the_next_start_without_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let run = RunFolder::claim_new(folder.path()).unwrap();
-        assert!(RunFolder::token(folder.path()).unwrap().is_none());
-        for _start in 0..2 {
-            let token = Token::random().unwrap();
-            // What a crash may leave.
-            std::fs::write(folder.path().join(".tmp-token"), "").unwrap();
-            run.note_token(Some(&token)).unwrap();
-            let file = RunFolder::token_file(folder.path());
-            let mode = std::fs::metadata(&file).unwrap().permissions().mode();
-            assert_eq!(mode & 0o777, 0o600);
-            let read = RunFolder::token(folder.path()).unwrap().unwrap();
-            assert_eq!(read.text(), token.text());
-        }
-        run.note_token(None).unwrap();
-        assert!(RunFolder::token(folder.path()).unwrap().is_none());
-    }
-
-    #[test]
-    fn a_token_file_with_other_contents_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join(TOKEN), "abc").unwrap();
-        let message = RunFolder::token(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("token is damaged: a token has 64"), "{message}");
-    }
-}
