@@ -1,21 +1,17 @@
 //! Films of evaluation episodes in the exchange.
 
-use learner::launch;
-use learner::lease::exchange::Exchange;
 use learner::observe::snapshot::FilmedEpisode;
+use policy::CoreKind;
 use proto::{
     Digest, EvaluationResult, Film, Incarnation, LeaseId, PolicyVersion, PushHeader, WeightsName,
 };
 
-use crate::settings::launch_in;
+use crate::one_slot::{exchange, rolled_out};
 
 #[test]
 fn a_late_film_of_older_policies_does_not_replace_a_newer_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let launch = launch_in(folder.path(), 1);
-    let (lease, audit) = (launch.config.lease, launch.config.audit);
-    let exchange =
-        Exchange::new(launch::prepare(launch).unwrap().1, lease, audit, crate::toy::states());
+    let (run, policy, _) = rolled_out(CoreKind::Mlp);
+    let exchange = exchange(run, &policy);
     assert_eq!(exchange.run_snapshot().film, None);
     let film = Film { frame_secs: 0.05, radii: vec![0.1], drivers: vec![None], ends: vec![0.0; 6] };
     let result = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 5 };
