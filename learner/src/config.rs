@@ -230,51 +230,43 @@ mod tests {
         assert_eq!(sizes(400, [1, 20, 21, 40, 100, 200]), [10, 10, 8, 5, 2, 1]);
         // 23 environments have no smaller divisor than 1.
         assert_eq!(sizes(23, [1, 2, 3, 4, 11, 23]), [1; 6]);
-    }
-
-    #[test]
-    fn a_slot_has_one_environment_while_no_thread_is_connected() {
+        // While no thread is connected, one.
         assert_eq!((slot_size(20, 0, 0), slot_size(1, 0, 0), slot_size(1, 8, 0)), (1, 1, 1));
-    }
-
-    #[test]
-    fn a_set_size_holds_for_any_number_of_threads() {
+        // A set size holds for any number of threads.
         assert_eq!([0, 1, 50].map(|threads| slot_size(20, threads, 4)), [4; 3]);
-        assert_eq!(config().slot_sizes(), [2]);
     }
 
     #[test]
     fn a_slot_is_no_larger_than_its_messages_allow() {
         let config = EnvironmentsConfig { per_slot: 0, ..config() };
         assert_eq!(config.slot_sizes(), [10, 5, 4, 2, 1]);
+        assert_eq!(EnvironmentsConfig { per_slot: 2, ..config }.slot_sizes(), [2]);
         assert_eq!([10, 4, 1].map(|most| config.slot_size(1, most)), [10, 4, 1]);
     }
 
     #[test]
     fn sizes_that_do_not_fit_are_refused_by_name() {
-        let cases: [(EnvironmentsConfig, &str); 4] = [
+        type Change = fn(&mut EnvironmentsConfig);
+        let cases: [(Change, &str); 4] = [
+            (|c| c.count = 0, "count = 0 is out of range: 1 to 1000000"),
             (
-                EnvironmentsConfig { count: 0, ..config() },
-                "environments.count = 0 is out of range: 1 to 1000000",
+                |c| c.per_slot = 3,
+                "per_slot = 3 is out of range: a divisor of environments.count = 20",
             ),
             (
-                EnvironmentsConfig { per_slot: 3, ..config() },
-                "environments.per_slot = 3 is out of range: a divisor of environments.count = 20",
+                |c| c.message_steps = 300,
+                "message_steps = 300 is out of range: 1 to environments.steps = 200",
             ),
             (
-                EnvironmentsConfig { message_steps: 300, ..config() },
-                "environments.message_steps = 300 is out of range: 1 to environments.steps = 200",
-            ),
-            (
-                EnvironmentsConfig { message_steps: 30, ..config() },
-                "environments.message_steps = 30 is out of range: a divisor of environments.steps = 200",
+                |c| c.message_steps = 30,
+                "message_steps = 30 is out of range: a divisor of environments.steps = 200",
             ),
         ];
-        for (config, message) in cases {
-            assert_eq!(
-                config.validate().map_err(|error| error.to_string()),
-                Err(message.to_owned())
-            );
+        for (change, line) in cases {
+            let mut config = config();
+            change(&mut config);
+            let error = config.validate().unwrap_err().to_string();
+            assert_eq!(error, format!("environments.{line}"));
         }
     }
 }

@@ -89,7 +89,7 @@ impl Stage {
 }
 
 /// The figures of one iteration, with the names that they have in `metrics.jsonl`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct IterationReport {
     /// Finished iterations, this one included.
     pub iteration: u64,

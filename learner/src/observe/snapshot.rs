@@ -188,12 +188,7 @@ mod tests {
             iteration_secs: 2.0,
             rollout_secs: 1.0,
             update_secs: 0.5,
-            density_secs: 0.1,
-            episode_return: Some(iteration as f64),
-            actors: 2,
-            messages_refused: 0,
-            leases_reissued: 0,
-            metrics: Vec::new(),
+            ..IterationReport::default()
         })
     }
 

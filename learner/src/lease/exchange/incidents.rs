@@ -183,63 +183,59 @@ mod tests {
 
     use super::*;
 
-    fn lease(work: LeasedWork) -> LeaseStatus {
-        LeaseStatus { lease: LeaseId(7), actor: ActorId(3), work, chunks: 2, still_secs: 20.0 }
+    const OWN: ActorId = ActorId(3);
+
+    fn names() -> ActorNames {
+        let mut names = ActorNames::default();
+        names.insert(OWN, "local-0".to_owned());
+        names.insert(ActorId(9), "rogue".to_owned());
+        names.note_sender(ActorId(9), &[4]);
+        names
     }
 
-    fn line(incident: &Incident) -> String {
-        let mut names = ActorNames::default();
-        names.insert(ActorId(3), "local-0".to_owned());
-        match names.describe(incident) {
-            Notice::Loss(line) => line,
-            usual => panic!("work was lost: {usual:?}"),
-        }
+    fn lease(work: LeasedWork) -> LeaseStatus {
+        LeaseStatus { lease: LeaseId(7), actor: OWN, work, chunks: 2, still_secs: 20.0 }
     }
 
     #[test]
     fn each_loss_is_a_line_with_the_actor_what_it_was_at_and_what_happens_next() {
         let (slot, episode) = (lease(LeasedWork::Slot(5)), lease(LeasedWork::Episode(1)));
-        assert_eq!(
-            line(&Incident::Gone { actor: ActorId(3), leases: vec![slot, episode] }),
-            "actor 3 (local-0) is gone, at slot 5 (lease 7) after 2 chunks, at evaluation episode 1 (lease 7); \
-             its work is free again, from the first step"
-        );
-        assert_eq!(
-            line(&Incident::Expired(slot)),
-            "actor 3 (local-0) got nothing done for 20.0 s, at slot 5 (lease 7) after 2 chunks; the lease \
-             ends, its work is free again, from the first step"
-        );
+        let (failure, detail) = (LeaseFailure::StartState, "no state".to_owned());
+        let returned =
+            Incident::Returned { lease: slot, failure, detail, environments: vec![4, 5] };
         let pause = Duration::from_secs(40);
-        assert_eq!(
-            line(&Incident::Quarantined { actor: ActorId(3), pause }),
-            "actor 3 (local-0) is in quarantine: too many of its messages in a row were refused or of its leases \
-             expired; it gets no work for 40.0 s"
-        );
-    }
-
-    #[test]
-    fn a_returned_lease_is_a_line_with_the_cause_and_who_sent_the_start_states() {
-        let mut names = ActorNames::default();
-        names.insert(ActorId(3), "local-0".to_owned());
-        names.insert(ActorId(9), "rogue".to_owned());
-        names.note_sender(ActorId(9), &[4]);
-        let returned = Incident::Returned {
-            lease: lease(LeasedWork::Slot(5)),
-            failure: LeaseFailure::StartState,
-            detail: "no state".to_owned(),
-            environments: vec![4, 5],
-        };
-        let line = "actor 3 (local-0) returned its lease, at slot 5 (lease 7) after 2 chunks: no state; its work is \
-                    free again, from the first step; the start states are from actor 9 (rogue), the checkpoint";
-        assert_eq!(names.describe(&returned), Notice::Loss(line.to_owned()));
+        for (incident, line) in [
+            (
+                Incident::Gone { actor: OWN, leases: vec![slot, episode] },
+                "is gone, at slot 5 (lease 7) after 2 chunks, at evaluation episode 1 (lease 7); \
+                 its work is free again, from the first step",
+            ),
+            (
+                Incident::Expired(slot),
+                "got nothing done for 20.0 s, at slot 5 (lease 7) after 2 chunks; the lease ends, \
+                 its work is free again, from the first step",
+            ),
+            (
+                Incident::Quarantined { actor: OWN, pause },
+                "is in quarantine: too many of its messages in a row were refused or of its leases \
+                 expired; it gets no work for 40.0 s",
+            ),
+            (
+                returned,
+                "returned its lease, at slot 5 (lease 7) after 2 chunks: no state; its work is free \
+                 again, from the first step; the start states are from actor 9 (rogue), the checkpoint",
+            ),
+        ] {
+            let line = format!("actor 3 (local-0) {line}");
+            assert_eq!(names().describe(&incident), Notice::Loss(line));
+        }
     }
 
     #[test]
     fn an_actor_that_leaves_without_a_lease_is_no_loss_and_its_name_goes_with_it() {
-        let mut names = ActorNames::default();
-        names.insert(ActorId(3), "local-0".to_owned());
-        let gone = Incident::Gone { actor: ActorId(3), leases: Vec::new() };
-        let usual = Notice::Usual("actor 3 (local-0) is gone; it held no lease".to_owned());
-        assert_eq!((names.describe(&gone), names.actors.len()), (usual, 0));
+        let mut names = names();
+        let gone = names.describe(&Incident::Gone { actor: OWN, leases: Vec::new() });
+        assert_eq!(gone, Notice::Usual("actor 3 (local-0) is gone; it held no lease".to_owned()));
+        assert_eq!(names.call(OWN), "actor 3");
     }
 }

@@ -193,27 +193,6 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn the_checksum_is_crc_32c() {
-        // The check value of CRC-32C, and two examples of RFC 3720, B.4.
-        assert_eq!(crc32c(b"123456789"), 0xE306_9283);
-        assert_eq!(crc32c(&[0; 32]), 0x8A91_36AA);
-        assert_eq!(crc32c(&[0xFF; 32]), 0x62A8_AB43);
-    }
-
-    #[test]
-    fn a_scalar_is_encoded_as_its_schema_requires() {
-        let line = json!({"kind": "iteration", "iteration": 1, "env_steps": 300, "a/b": 0.5});
-        let event = scalar_event(2.0, &line);
-        let (wall, rest) = event.split_at(9);
-        assert_eq!(wall, [&[0x09][..], &2.0_f64.to_le_bytes()].concat());
-        // Step 300 is 0b10_0101100; the summary has 22 bytes; `stats/iteration` follows `a/b` by name.
-        assert_eq!(&rest[..3], [0x10, 0xAC, 0x02]);
-        let scalar = [&[0x0A, 10, 0x0A, 3][..], b"a/b", &[0x15], &0.5_f32.to_le_bytes()].concat();
-        assert_eq!(rest[3], 0x2A);
-        assert!(rest[5..].starts_with(&scalar), "{rest:?}");
-    }
-
-    #[test]
     fn every_start_writes_a_later_file_that_begins_a_session_and_ends_at_the_current_time() {
         let folder = tempfile::tempdir().unwrap();
         let line = |iteration: u64| {
