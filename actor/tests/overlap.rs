@@ -8,8 +8,6 @@ mod fixture;
 mod work;
 
 use std::pin::Pin;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use actor::{ActorConfig, Transport};
@@ -40,57 +38,68 @@ enum Acknowledges {
     AfterNextRequest,
 }
 
-/// A learner that delays acknowledgements.
+/// A learner that delays acknowledgements. The test keeps a clone of it, which shares its state.
+#[derive(Clone)]
 struct Withholding {
-    weights: Vec<u8>,
     acknowledges: Acknowledges,
     /// Steps of a chunk.
     chunk: u32,
     /// The number of the first streams that it refuses.
     refused: u64,
-    opened: AtomicU64,
+    /// Streams that were opened.
+    opened: watch::Sender<u64>,
     /// Requests for a lease.
     requested: watch::Sender<u64>,
     /// The highest lease of which a chunk has arrived.
     begun: watch::Sender<u64>,
     /// Leases, in the order of their last acknowledgements.
-    finished: Mutex<Vec<u64>>,
-    over: watch::Sender<bool>,
+    finished: watch::Sender<Vec<u64>>,
 }
 
 impl Withholding {
     fn new(acknowledges: Acknowledges, chunk: u32, refused: u64) -> Self {
-        Self {
-            weights: policy().to_bytes().unwrap(),
-            acknowledges,
-            chunk,
-            refused,
-            opened: AtomicU64::new(0),
-            requested: watch::Sender::new(0),
-            begun: watch::Sender::new(0),
-            finished: Mutex::default(),
-            over: watch::Sender::new(false),
-        }
+        let (opened, requested, begun, finished) = Default::default();
+        Self { acknowledges, chunk, refused, opened, requested, begun, finished }
     }
 
-    fn name(&self) -> WeightsName {
-        WeightsName { version: PolicyVersion(1), digest: Digest(policy::digest(&self.weights)) }
+    async fn acknowledge(
+        self,
+        message: Result<wire::PushTrajectoryRequest, Status>,
+    ) -> Result<wire::PushTrajectoryResponse, Status> {
+        let (header, content) = PushHeader::from_wire(message?)?;
+        let Content::Chunk(chunk) = content else { panic!("no evaluation was leased") };
+        let lease = header.lease;
+        self.begun.send_modify(|begun| *begun = lease.0.max(*begun));
+        let lease_finished = (chunk.sequence + 1) * self.chunk == STEPS;
+        if self.acknowledges == Acknowledges::AfterNextRequest {
+            let _ = self.requested.subscribe().wait_for(|&requested| requested > lease.0).await;
+        }
+        if lease_finished {
+            if self.acknowledges == Acknowledges::AfterNextSlot {
+                let next = (lease.0 + 1).min(LEASES);
+                let _ = self.begun.subscribe().wait_for(|&begun| begun >= next).await;
+            }
+            self.finished.send_modify(|finished| finished.push(lease.0));
+        }
+        let (sequence, state) = (chunk.sequence, AckState::Accepted);
+        Ok(Ack { lease, sequence, state, lease_finished }.to_wire())
     }
+}
+
+fn weights() -> (WeightsName, Vec<u8>) {
+    let bytes = policy().to_bytes().unwrap();
+    (WeightsName { version: PolicyVersion(1), digest: Digest(policy::digest(&bytes)) }, bytes)
 }
 
 type Answers<M> = Pin<Box<dyn Stream<Item = Result<M, Status>> + Send>>;
 
-/// The service, shared with the test, which reads the order of leases.
-struct Shared(std::sync::Arc<Withholding>);
-
 #[tonic::async_trait]
-impl LearnerService for Shared {
+impl LearnerService for Withholding {
     async fn describe_run(
         &self,
         _: Request<wire::DescribeRunRequest>,
     ) -> Result<Response<wire::DescribeRunResponse>, Status> {
-        let chunk = self.0.chunk;
-        let run = RunDescription { chunk_steps: chunk, hidden_every: chunk, ..run() };
+        let run = RunDescription { chunk_steps: self.chunk, hidden_every: self.chunk, ..run() };
         Ok(Response::new(wire::DescribeRunResponse { run: Some(run.to_wire()) }))
     }
 
@@ -106,15 +115,15 @@ impl LearnerService for Shared {
         &self,
         _: Request<wire::LeaseSlotsRequest>,
     ) -> Result<Response<wire::LeaseSlotsResponse>, Status> {
-        self.0.requested.send_modify(|requested| *requested += 1);
-        let id = LeaseId(*self.0.requested.borrow());
+        self.requested.send_modify(|requested| *requested += 1);
+        let id = LeaseId(*self.requested.borrow());
         if id.0 > LEASES {
             // The run is over once every slot is acknowledged.
-            let _ = self.0.over.subscribe().wait_for(|&over| over).await;
+            let all = (LEASES - self.refused) as usize;
+            let _ = self.finished.subscribe().wait_for(|finished| finished.len() == all).await;
             return Ok(Response::new(LeaseAnswer::Done.to_wire()));
         }
-        let work = Work::Rollout(fresh_work());
-        let weights = self.0.name();
+        let (work, (weights, _)) = (Work::Rollout(fresh_work()), weights());
         let lease = Lease { id, incarnation: Incarnation(1), weights, attempt: 0, work };
         Ok(Response::new(LeaseAnswer::Lease(lease).to_wire()))
     }
@@ -125,9 +134,10 @@ impl LearnerService for Shared {
         &self,
         _: Request<wire::GetWeightsRequest>,
     ) -> Result<Response<Self::GetWeightsStream>, Status> {
-        let total_bytes = self.0.weights.len() as u64;
-        let header = wire::WeightsHeader { weights: Some(self.0.name().to_wire()), total_bytes };
-        let parts = [Part::Header(header), Part::Data(self.0.weights.clone().into())];
+        let (name, bytes) = weights();
+        let (weights, total_bytes) = (Some(name.to_wire()), bytes.len() as u64);
+        let header = wire::WeightsHeader { weights, total_bytes };
+        let parts = [Part::Header(header), Part::Data(bytes.into())];
         let answers = parts.map(|part| Ok(wire::GetWeightsResponse { part: Some(part) }));
         Ok(Response::new(Box::pin(tokio_stream::iter(answers))))
     }
@@ -138,15 +148,13 @@ impl LearnerService for Shared {
         &self,
         request: Request<Streaming<wire::PushTrajectoryRequest>>,
     ) -> Result<Response<Self::PushTrajectoryStream>, Status> {
-        if self.0.opened.fetch_add(1, Ordering::Relaxed) < self.0.refused {
+        self.opened.send_modify(|opened| *opened += 1);
+        if *self.opened.borrow() <= self.refused {
             return Err(Status::aborted("the lease was revoked"));
         }
-        let learner = std::sync::Arc::clone(&self.0);
-        let acknowledged = request.into_inner().then(move |message| {
-            let learner = std::sync::Arc::clone(&learner);
-            async move { acknowledge(&learner, message?).await }
-        });
-        Ok(Response::new(Box::pin(acknowledged)))
+        let learner = self.clone();
+        let acknowledge = move |message| learner.clone().acknowledge(message);
+        Ok(Response::new(Box::pin(request.into_inner().then(acknowledge))))
     }
 
     async fn return_lease(
@@ -165,41 +173,15 @@ impl LearnerService for Shared {
     }
 }
 
-async fn acknowledge(
-    learner: &Withholding,
-    message: wire::PushTrajectoryRequest,
-) -> Result<wire::PushTrajectoryResponse, Status> {
-    let (header, content) = PushHeader::from_wire(message)?;
-    let Content::Chunk(chunk) = content else { panic!("no evaluation was leased") };
-    let lease = header.lease;
-    learner.begun.send_modify(|begun| *begun = lease.0.max(*begun));
-    let lease_finished = (chunk.sequence + 1) * learner.chunk == STEPS;
-    if learner.acknowledges == Acknowledges::AfterNextRequest {
-        let _ = learner.requested.subscribe().wait_for(|&requested| requested > lease.0).await;
-    }
-    if lease_finished {
-        if learner.acknowledges == Acknowledges::AfterNextSlot {
-            let next = (lease.0 + 1).min(LEASES);
-            let _ = learner.begun.subscribe().wait_for(|&begun| begun >= next).await;
-        }
-        let finished = &mut learner.finished.lock().unwrap();
-        finished.push(lease.0);
-        learner.over.send_replace(finished.len() as u64 == LEASES - learner.refused);
-    }
-    let (sequence, state) = (chunk.sequence, AckState::Accepted);
-    Ok(Ack { lease, sequence, state, lease_finished }.to_wire())
-}
-
 /// The leases that an actor with this learner finishes, in order.
 async fn finished_leases(learner: Withholding) -> Vec<u64> {
-    let withholding = std::sync::Arc::new(learner);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let learner = format!("http://{}", listener.local_addr().unwrap());
-    let service = LearnerServiceServer::new(Shared(std::sync::Arc::clone(&withholding)));
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    let service = LearnerServiceServer::new(learner.clone());
     let server = tonic::transport::Server::builder().add_service(service);
     tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
     let config = ActorConfig {
-        learner,
+        learner: url,
         transport: Transport::PlainTextOnLoopback,
         token: None,
         environment: None,
@@ -212,8 +194,7 @@ async fn finished_leases(learner: Withholding) -> Vec<u64> {
     let (_stop, never) = watch::channel(false);
     let run = tokio::time::timeout(Duration::from_secs(60), actor::run(config, never));
     run.await.expect("the actor waits for an acknowledgement that the learner withholds").unwrap();
-    let finished = withholding.finished.lock().unwrap();
-    finished.clone()
+    learner.finished.borrow().clone()
 }
 
 #[tokio::test]

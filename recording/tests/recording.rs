@@ -7,6 +7,7 @@ mod fixture;
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::OnceLock;
 
 use policy::{PolicySnapshot, RunSeed};
 use proto::{Digest, PolicyVersion, WeightsName};
@@ -27,20 +28,36 @@ fn run(policy: &PolicySnapshot) -> RecordedRun<'_> {
     }
 }
 
-/// Records episodes 2 and 3 of the evaluation of iteration 4.
-fn record(path: &Path) -> RecordSummary {
-    let episode = |index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index };
-    let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
-    recording::record(&mut *world, &run(&policy), &[episode(2), episode(3)], path, |_, _| {})
-        .unwrap()
+/// Episodes 2 and 3 of the evaluation of iteration 4.
+struct Walk {
+    bytes: Vec<u8>,
+    summary: RecordSummary,
+    /// Episode and step of each call.
+    progress: Vec<(usize, u32)>,
+}
+
+fn walk() -> &'static Walk {
+    static WALK: OnceLock<Walk> = OnceLock::new();
+    WALK.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("walk.mcap");
+        let (mut world, policy) = (sim::environments(&task(), 1).unwrap(), policy());
+        let episodes = [2, 3].map(episode);
+        let mut progress = Vec::new();
+        let on_step = |index, step| progress.push((index, step));
+        let summary =
+            recording::record(&mut *world, &run(&policy), &episodes, &path, on_step).unwrap();
+        Walk { bytes: read_bytes(&path).unwrap(), summary, progress }
+    })
+}
+
+fn episode(index: u32) -> EvaluationEpisode {
+    EvaluationEpisode { seed: RunSeed(1), iteration: 4, index }
 }
 
 #[test]
 fn the_channels_of_a_recording_name_features_and_joints() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("walk.mcap");
-    record(&path);
-    let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+    let summary = mcap::Summary::read(&walk().bytes).unwrap().unwrap();
     let names = |topic: &str, key: &str| -> Vec<String> {
         let channel = summary.channels.values().find(|channel| channel.topic == topic).unwrap();
         serde_json::from_str(&channel.metadata[key]).unwrap()
@@ -54,14 +71,11 @@ fn the_channels_of_a_recording_name_features_and_joints() {
 
 #[test]
 fn a_recording_is_a_log_of_the_episodes_and_is_replayed_bit_for_bit() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("walk.mcap");
-    let summary = record(&path);
+    let Walk { bytes, summary, .. } = walk();
     // Two episodes of 1,000 steps with five messages each, and three messages an episode.
     assert_eq!(summary.messages, 10_006);
-    let bytes = read_bytes(&path).unwrap();
     let mut shares = Vec::new();
-    let log = read_shares(&bytes, |share| {
+    let log = read_shares(bytes, |share| {
         shares.push(share);
         Ok(())
     });
@@ -73,20 +87,14 @@ fn a_recording_is_a_log_of_the_episodes_and_is_replayed_bit_for_bit() {
         assert_eq!(rewards.sum::<f64>(), episode.extrinsic_return);
         assert_eq!((share.head.seed, share.head.weights_version), (1, 4));
     }
-    let replayed = replay(&bytes, |_, _| {}).unwrap();
+    let replayed = replay(bytes, |_, _| {}).unwrap();
     assert_eq!((replayed.shares, replayed.steps, replayed.difference), (2, 2000, None));
 }
 
 #[test]
 fn every_step_is_reported_with_the_position_of_its_episode() {
-    let folder = tempfile::tempdir().unwrap();
-    let (mut world, policy, mut told) =
-        (sim::environments(&task(), 1).unwrap(), policy(), Vec::new());
-    let episodes = [2, 3].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
-    let path = folder.path().join("walk.mcap");
-    let on_step = |index, step| told.push((index, step));
-    recording::record(&mut *world, &run(&policy), &episodes, &path, on_step).unwrap();
-    assert_eq!((told.len(), told[0], told[1999]), (2000, (0, 1), (1, 1000)));
+    let progress = &walk().progress;
+    assert_eq!((progress.len(), progress[0], progress[1999]), (2000, (0, 1), (1, 1000)));
 }
 
 #[test]
@@ -106,7 +114,7 @@ fn a_recorded_game_has_states_and_choices_but_no_links() {
     let policy = policy_for(world.description());
     let task_settings = serde_json::to_string(&task).unwrap();
     let run = RecordedRun { task_settings, ..run(&policy) };
-    let episodes = [0, 1].map(|index| EvaluationEpisode { seed: RunSeed(1), iteration: 4, index });
+    let episodes = [0, 1].map(episode);
     let summary = recording::record(&mut *world, &run, &episodes, &path, |_, _| {}).unwrap();
     assert_eq!(summary.episodes[0].steps, 50);
     let bytes = std::fs::read(&path).unwrap();

@@ -57,9 +57,8 @@ fn other_files_are_rejected_with_a_one_line_error() {
         let line = read_bytes(&path).unwrap_err().to_string();
         assert!(line.contains("not an MCAP file") && !line.contains('\n'), "{line}");
     }
-    assert!(
-        read_bytes(&folder.path().join("missing")).unwrap_err().to_string().contains("cannot read")
-    );
+    let missing = read_bytes(&folder.path().join("missing")).unwrap_err().to_string();
+    assert!(missing.contains("cannot read"), "{missing}");
     let foreign = read_shares(&small_file(), |_| Ok(())).unwrap_err().to_string();
     assert!(foreign.contains("not a trajectory log"), "{foreign}");
 }

@@ -7,7 +7,7 @@ use proto::{Episodes, EvaluationWork};
 
 use super::fixture::{ENVIRONMENTS, task};
 use super::work::{fresh_work, run};
-use super::{WHOLE, evaluate, files, next_work, read, roll, slot_log, start};
+use super::{WHOLE, evaluate, files, read, roll, slot_log, start};
 use crate::share::LoggedShare;
 use crate::trajectory_log::file::{LogFile, Origin};
 use crate::trajectory_log::source::{new_log, read_bytes};
@@ -136,19 +136,6 @@ fn an_evaluation_is_logged_completely_without_log_probabilities() {
         share.steps.iter().all(|step| step.agents.iter().all(|agent| agent.log_prob.is_none()))
     );
     assert!(share.steps[999].step.truncated && !share.steps[998].step.truncated);
-}
-
-#[test]
-fn the_simulator_replays_a_log_bit_for_bit() {
-    let folder = tempfile::tempdir().unwrap();
-    let (log, handle) = start(folder.path(), "a", Episodes::All, 64);
-    let chunks = roll(&handle, &fresh_work(), WHOLE);
-    roll(&handle, &next_work(&chunks), WHOLE);
-    evaluate(&handle, EvaluationWork { iteration: 4, episode: 0 });
-    log.close();
-    let replayed = replay(&read_bytes(&files(folder.path())[0]).unwrap(), |_, _| {}).unwrap();
-    assert_eq!((replayed.shares, replayed.steps, replayed.difference), (6, 1160, None));
-    assert_eq!(replayed.other_program, None);
 }
 
 /// Difference that a replay of the slot's log finds after `change`.
