@@ -1,31 +1,34 @@
 //! Checkpoints whose files were replaced, cut or changed, with a manifest that fits the damage or with one that does not.
 //! Whatever is wrong with the newest, the one before it is loaded.
 #![no_main]
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a finding")]
+#![expect(dead_code, reason = "the tests of checkpoints call more of what they share with this")]
+
+#[path = "../../learner/tests/checkpoint/run.rs"]
+mod run;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
 
 use arbitrary::{Arbitrary, Unstructured};
-use learner::config::CheckpointConfig;
-use learner::store::checkpoint::{self, Checkpoint, FileEntry, Manifest, RunSettings};
+use learner::store::checkpoint::{self, Checkpoint, FileEntry, Manifest};
 use libfuzzer_sys::fuzz_target;
-use policy::arrays::{Array, NamedArrays, from_safetensors, hex};
+use policy::arrays::{from_safetensors, hex};
+use run::{Run, checkpoint, files, names};
 use sha2::{Digest as _, Sha256};
-use tempfile::TempDir;
 
 thread_local! {
-    static RUN: Run = Run::new();
+    static TWO: Two = Two::new();
 }
 
 fuzz_target!(|data: &[u8]| {
     // Too few bytes for a whole list of damages are no case.
-    let _judged = RUN.with(|run| run.endure(&mut Unstructured::new(data)));
+    let _judged = TWO.with(|two| two.endure(&mut Unstructured::new(data)));
 });
 
-/// A run folder with two good checkpoints, and the newer one's files by name.
-struct Run {
-    folder: TempDir,
+/// A run with two good checkpoints, and the newer one's files by name.
+struct Two {
+    run: Run,
     good: BTreeMap<String, Vec<u8>>,
 }
 
@@ -47,43 +50,13 @@ enum Seal {
     Everything,
 }
 
-fn state(iteration: u64) -> Checkpoint {
-    let floats = |value: f32| Array::F32 { shape: vec![2, 2], data: vec![value, 0.5, -0.0, 1e-9] };
-    let count = Array::I64 { shape: vec![1], data: vec![iteration as i64] };
-    let arrays = NamedArrays::from([
-        ("weights/critic".to_owned(), floats(iteration as f32)),
-        ("optimizer/critic.m".to_owned(), Array::F64 { shape: vec![1], data: vec![2.0] }),
-        ("environments/0000/state".to_owned(), Array::U8 { shape: vec![3], data: vec![1, 2, 3] }),
-        ("counters/iteration".to_owned(), count),
-    ]);
-    Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
-}
-
-impl Run {
+impl Two {
     fn new() -> Self {
-        let folder = tempfile::tempdir().expect("a folder for checkpoints");
-        let keep = CheckpointConfig { every: 1, keep_last: 2 };
-        for iteration in [1, 2] {
-            checkpoint::save(
-                folder.path(),
-                &state(iteration),
-                RunSettings { sha256: "c0ffee", toml: "a = 1\n" },
-                &keep,
-                &mut |_, _| Ok(()),
-            )
-            .expect("the disk takes a checkpoint");
-        }
-        let mut run = Self { folder, good: BTreeMap::new() };
-        for entry in fs::read_dir(run.place()).expect("it was just written") {
-            let entry = entry.expect("it was just written");
-            let name = entry.file_name().into_string().expect("plain names");
-            run.good.insert(name, fs::read(entry.path()).expect("it was just written"));
-        }
-        run
-    }
-
-    fn place(&self) -> PathBuf {
-        checkpoint::folder(self.folder.path()).join("iter_00000002")
+        let run = Run::with(&[1, 2]);
+        let place = run.path(2);
+        let bytes = files(&place).into_iter().map(|file| fs::read(file).unwrap());
+        let good = names(&place).into_iter().zip(bytes).collect();
+        Self { run, good }
     }
 
     fn endure(&self, unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
@@ -91,7 +64,7 @@ impl Run {
         let seal = Seal::arbitrary(unstructured)?;
         for _ in 0..unstructured.int_in_range(1..=3)? {
             let name = self.good.keys().nth(unstructured.choose_index(self.good.len())?);
-            let name = name.expect("the index is one of theirs");
+            let name = name.unwrap();
             damage(&mut files, name, Damage::arbitrary(unstructured)?);
         }
         if seal != Seal::Broken {
@@ -104,24 +77,24 @@ impl Run {
 
     fn write(&self, files: &BTreeMap<String, Vec<u8>>) {
         for name in self.good.keys() {
-            let path = self.place().join(name);
+            let path = self.run.path(2).join(name);
             match files.get(name) {
-                Some(bytes) => fs::write(path, bytes).expect("the disk takes a file"),
+                Some(bytes) => fs::write(path, bytes).unwrap(),
                 None => drop(fs::remove_file(path)),
             }
         }
     }
 
     fn judge(&self, files: &BTreeMap<String, Vec<u8>>, seal: &Seal) {
-        let newest = checkpoint::load_newest(self.folder.path()).expect("the first one stands");
+        let newest = self.run.load();
         match newest.checkpoint.iteration {
             1 => {
-                assert_eq!(newest.checkpoint, state(1));
+                assert_eq!(newest.checkpoint, checkpoint(1));
                 assert_eq!(newest.skipped.len(), 1);
-                let error = checkpoint::load(&self.place()).expect_err("it was passed over");
+                let error = checkpoint::load(&self.run.path(2)).unwrap_err();
                 assert!(error.to_string().contains(&newest.skipped[0].1));
             }
-            2 if *files == self.good => assert_eq!(newest.checkpoint, state(2)),
+            2 if *files == self.good => assert_eq!(newest.checkpoint, checkpoint(2)),
             2 => {
                 assert_ne!(*seal, Seal::Broken, "a damaged checkpoint was loaded");
                 assert_eq!(newest.saved().state_sha256, newest.manifest.state_sha256);

@@ -1,21 +1,15 @@
-//! The slot table under arbitrary lists of events: an honest cluster on a hostile network, watched by the model of its
-//! tests, and actors who say whatever they like, among whom an honest one must still get its work done.
+//! The slot table and actors who say whatever they like: what it holds stays bounded, and an honest actor still gets its
+//! work done.
 #![no_main]
 #![expect(dead_code, reason = "the table's tests call more of what they share with this")]
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a finding")]
 
-#[path = "../../learner/tests/slots/cluster.rs"]
-mod cluster;
-#[path = "../../learner/tests/slots/events.rs"]
-mod events;
 #[path = "../../learner/tests/slots/table.rs"]
 mod table;
 
 use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
-use cluster::Cluster;
-use events::{ACTORS, Event, MOST_IN_FLIGHT};
 use learner::lease::slots::{ConnectionId, Effect, Offer, Preview, ResultPart, SlotTable, Trust};
 use libfuzzer_sys::fuzz_target;
 use proto::{
@@ -29,45 +23,9 @@ const SLOTS: u32 = 3;
 const MOST_EVENTS: usize = 600;
 
 fuzz_target!(|data: &[u8]| {
-    let mut unstructured = Unstructured::new(data);
-    let _ended = match u8::arbitrary(&mut unstructured) {
-        Ok(kind) if kind % 2 == 0 => honest_cluster(&mut unstructured),
-        Ok(_) => hostile_actors(&mut unstructured),
-        Err(_) => Ok(()),
-    };
+    // Too few bytes for a whole call end the list.
+    let _ended = hostile_actors(&mut Unstructured::new(data));
 });
-
-fn honest_cluster(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
-    let mut cluster = Cluster::new();
-    for _ in 0..MOST_EVENTS {
-        if unstructured.is_empty() {
-            break;
-        }
-        cluster.apply(event(unstructured)?);
-    }
-    cluster.settle();
-    Ok(())
-}
-
-fn event(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<Event> {
-    let kind = unstructured.int_in_range(0..=11)?;
-    let number = usize::from(u8::arbitrary(unstructured)?);
-    let (actor, message) = (number % ACTORS, number % MOST_IN_FLIGHT);
-    Ok(match kind {
-        0 => Event::Act(actor),
-        1 => Event::Heartbeat(actor),
-        2 => Event::Arrive(message),
-        3 => Event::ArriveTwice(message),
-        4 => Event::Lose(message),
-        5 => Event::Kill(actor),
-        6 => Event::Freeze(actor),
-        7 => Event::Thaw(actor),
-        8 => Event::Join(actor),
-        9 => Event::Learn,
-        10 => Event::Restart,
-        _ => Event::Pass(number as u32 % 16),
-    })
-}
 
 /// A call of the table, as whoever reaches the service can cause it. Numbers choose among what there is.
 #[derive(Arbitrary, Debug)]
@@ -131,14 +89,12 @@ impl Siege {
             Call::Register { connection, foreign, process } => {
                 let trust = if foreign { Trust::Foreign } else { Trust::Exact };
                 let process = process.map(|process| ProcessId([process % 3; 16]));
-                self.table.register(ConnectionId(u64::from(connection % 4)), trust, process);
+                self.table.register(place(connection), trust, process);
             }
-            Call::Disconnect(connection) => {
-                self.table.disconnect(ConnectionId(u64::from(connection % 4)));
-            }
+            Call::Disconnect(connection) => self.table.disconnect(place(connection)),
             Call::Lease { connection, actor, other_start } => {
                 let incarnation = Incarnation(INCARNATION.0 + u64::from(other_start));
-                let connection = ConnectionId(u64::from(connection % 4));
+                let connection = place(connection);
                 let offer = self.table.lease(connection, ActorId(actor.into()), incarnation);
                 if let Ok(Offer::Lease(lease)) = offer {
                     self.leases.push(Held { connection, lease });
@@ -147,14 +103,12 @@ impl Siege {
             Call::Chunk { lease, sequence, lie } => self.push(lease, sequence.into(), lie),
             Call::Evaluation { lease, episode, lie } => self.evaluate(lease, episode.into(), lie),
             Call::Refuse { connection, lease } => {
-                let connection = ConnectionId(u64::from(connection % 4));
-                self.table.refuse(connection, Some(LeaseId(lease.into())));
+                self.table.refuse(place(connection), Some(LeaseId(lease.into())));
             }
             Call::Beat { connection, actor, lease, step } => {
-                let connection = ConnectionId(u64::from(connection % 4));
                 let (actor, lease) = (ActorId(actor.into()), LeaseId(lease.into()));
                 let beat = Heartbeat { actor, incarnation: INCARNATION, lease, slot_step: step };
-                let _valid = self.table.heartbeat(connection, &beat);
+                let _valid = self.table.heartbeat(place(connection), &beat);
             }
             Call::Pass(tenths) => {
                 self.now += TTL * u32::from(tenths) / 10;
@@ -250,15 +204,16 @@ impl Siege {
         let actor = table::actor(&mut self.table, 99);
         for _ in 0..SLOTS {
             let lease = table::lease(&mut self.table, actor);
-            for sequence in 0..CHUNKS {
-                let header = PushHeader::of(&lease, honest(&lease, sequence));
-                let part = ResultPart::Chunk(chunk(&lease, sequence));
-                self.table.take(lease.connection, &header, part).unwrap();
-            }
+            (0..CHUNKS).for_each(|at| drop(table::push(&mut self.table, &lease, at).unwrap()));
             self.take_effects();
         }
         assert_eq!(self.iteration, target, "the iteration cannot be completed");
     }
+}
+
+/// One of four connections.
+fn place(connection: u8) -> ConnectionId {
+    ConnectionId(u64::from(connection % 4))
 }
 
 fn bent(header: PushHeader, lie: Lie) -> PushHeader {

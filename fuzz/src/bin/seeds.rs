@@ -56,10 +56,7 @@ fn lease() -> Lease {
 fn messages() -> Vec<Seed> {
     let run = sample::run();
     let push = |content, digest| PushHeader::of(&lease(), digest).to_wire(content).encode_to_vec();
-    let chunk = |sequence| {
-        let (message, digest) = sample::chunk(sequence).to_wire(&run, &sample::origin());
-        push(Content::Chunk(message), digest)
-    };
+    let chunks = [0, 1].map(|sequence| sample::chunk(sequence).to_wire(&run, &sample::origin()));
     let result = EvaluationResult { episode: 0, extrinsic_return: 12.5, steps: 40 };
     let registration = Registration {
         client: "seed".to_owned(),
@@ -70,15 +67,16 @@ fn messages() -> Vec<Seed> {
         process: Some(ProcessId([7; 16])),
     };
     let mut seeds = vec![
-        (Some(0), chunk(0)),
-        (Some(0), chunk(1)),
         (Some(0), push(Content::Evaluation(result.to_wire()), result.digest(3))),
         (Some(1), registration.to_wire().encode_to_vec()),
         (Some(2), LeaseAnswer::Lease(lease()).to_wire().encode_to_vec()),
         (Some(2), LeaseAnswer::Retry { wait_millis: 100 }.to_wire().encode_to_vec()),
         (Some(3), run.to_wire().encode_to_vec()),
     ];
-    seeds.extend(noise().into_iter().map(|(_, bytes)| (Some(4), bytes)));
+    for (message, digest) in chunks {
+        seeds.push((Some(4), message.encode_to_vec()));
+        seeds.push((Some(0), push(Content::Chunk(message), digest)));
+    }
     seeds
 }
 
