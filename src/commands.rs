@@ -16,7 +16,6 @@ mod record;
 mod refusal;
 mod serve;
 mod task;
-mod tasks;
 mod train;
 mod watch;
 
@@ -30,8 +29,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 use crate::process::output::{CommandKind, LogFormat};
 use crate::process::shell;
-use crate::run::launch::BUILD;
-use crate::run::launch::SettingsArguments;
+use crate::run::{BUILD, SettingsArguments};
 
 pub(crate) use refusal::report;
 
@@ -89,7 +87,7 @@ pub(crate) enum Command {
     /// Print the contents of a run's newest valid checkpoint.
     Inspect(inspect::InspectArguments),
     /// List the tasks with their agents, joints and sizes.
-    Tasks(tasks::TasksArguments),
+    Tasks(task::TasksArguments),
     /// Check a task file, or write an example of one.
     #[command(subcommand)]
     Task(task::TaskCommand),
@@ -191,7 +189,7 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Watch(arguments) => watch::run(&arguments),
         Command::Stop(learner) => control::stop(&learner),
         Command::Inspect(arguments) => inspect::inspect(&arguments),
-        Command::Tasks(arguments) => tasks::run(&arguments),
+        Command::Tasks(arguments) => task::list(&arguments),
         Command::Task(command) => task::run(&command),
         Command::Config(arguments) => inspect::config(&arguments),
         Command::Certs(arguments) => certs::run(&arguments),

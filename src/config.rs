@@ -3,7 +3,6 @@
 
 mod conditions;
 pub(crate) mod effect;
-pub(crate) mod error;
 pub(crate) mod keys;
 pub(crate) mod layers;
 pub(crate) mod message_steps;
@@ -12,9 +11,6 @@ pub(crate) mod presets;
 pub(crate) mod resolved;
 mod rules;
 pub(crate) mod run_config;
-pub(crate) mod run_settings;
-mod scalar;
 
-pub(crate) use error::ConfigError;
 pub(crate) use layers::Request;
-pub(crate) use resolved::Resolved;
+pub(crate) use resolved::{ConfigError, Resolved, line_and_message};

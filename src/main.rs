@@ -3,15 +3,14 @@
 
 mod commands;
 mod config;
+mod endpoints;
 mod errors;
 mod experiment;
 mod figures;
 mod film;
-mod listening;
 mod process;
 mod progress;
 mod run;
-mod tls;
 
 use std::process::ExitCode;
 

@@ -1,12 +1,217 @@
-//! Runs on this machine: starting, resuming, supervising, serving and checking them.
+//! Runs on this machine: starting, resuming, supervising, serving and checking them. This file prepares the start of a learner
+//! from the arguments of `train` and `learner`.
 
-pub(crate) mod checkpointed;
 pub(crate) mod determinism;
-pub(crate) mod launch;
-pub(crate) mod message_sizes;
-pub(crate) mod new_folder;
 pub(crate) mod offered;
 pub(crate) mod process_log;
 pub(crate) mod resume;
 pub(crate) mod run_path;
+pub(crate) mod stored;
 pub(crate) mod supervisor;
+
+use std::path::{Path, PathBuf};
+
+use actor::Transport;
+use clap::Args;
+use learner::launch::Launch;
+use learner::store::run_folder::RunFolder;
+use policy::RunSeed;
+use proto::Digest;
+use serde_json::json;
+
+use crate::config::run_config::RunConfig;
+use crate::config::{ConfigError, Request, keys, layers, message_steps};
+use crate::errors::Usage;
+use crate::run::offered::Offered;
+use crate::run::run_path::{NewFolder, Others, demand_resumable};
+use crate::run::stored::settings_of_run;
+
+/// Version and commit of this program.
+pub(crate) const BUILD: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("S2MIA_GIT_COMMIT"));
+
+/// Placeholder for the settings of a command in help texts.
+pub(crate) const VALUE_NAME: &str = "TASK | KEY=VALUE";
+
+/// Arguments that define the configuration.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct SettingsArguments {
+    /// Task or path of a task file, followed by settings as key.path=value.
+    #[arg(value_name = VALUE_NAME)]
+    pub(crate) settings: Vec<String>,
+    /// TOML file with settings. May be given several times; later files override earlier ones.
+    #[arg(long = "config", value_name = "FILE")]
+    pub(crate) files: Vec<PathBuf>,
+    /// Train in the environment that an external program offers at this URL. TASK then only selects the settings.
+    /// Short for environment_service.url=URL.
+    #[arg(long, value_name = "URL")]
+    pub(crate) environment: Option<String>,
+}
+
+impl SettingsArguments {
+    /// All settings as key.path=value, including those given by a separate flag.
+    pub(crate) fn written(&self) -> Vec<String> {
+        let url = self.environment.iter().map(|url| format!("environment_service.url={url}"));
+        self.settings.iter().cloned().chain(url).collect()
+    }
+}
+
+/// Resume of an earlier run.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct ResumeArguments {
+    /// Resume the run in this folder from its newest valid checkpoint.
+    #[arg(long, value_name = "RUN")]
+    pub(crate) resume: Option<PathBuf>,
+    /// Start a new run in run.dir although the folder contains other files.
+    #[arg(long, conflicts_with = "resume")]
+    pub(crate) force: bool,
+}
+
+/// A run that is ready to start.
+pub(crate) struct PreparedRun {
+    /// Its settings.
+    pub(crate) config: RunConfig,
+    /// Its folder.
+    pub(crate) folder: PathBuf,
+    /// Everything that the learner starts with.
+    pub(crate) launch: Launch,
+    /// The folder of a new run.
+    pub(crate) new: Option<NewFolder>,
+}
+
+/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder.
+/// `transport` limits the connection to an external environment.
+pub(crate) fn prepare(
+    settings: &SettingsArguments,
+    resumed: &ResumeArguments,
+    transport: &Transport,
+) -> anyhow::Result<PreparedRun> {
+    let mut config = configure(settings, resumed.resume.as_deref())?;
+    let offered = Offered::of(&config, transport)?;
+    config.demand_suitable(Some(&offered.spec))?;
+    let fingerprint = rollout::rollout_fingerprint();
+    let others = if resumed.force { Others::Accepted } else { Others::Refused };
+    let (folder, new) = match &resumed.resume {
+        Some(folder) => {
+            offered.demand_that_of(&config)?;
+            (folder.clone(), None)
+        }
+        None => {
+            let new = NewFolder::of(&config, &offered.spec.task, others)?;
+            (new.path().to_path_buf(), Some(new))
+        }
+    };
+    // The learner claims the folder later, after the actors have started.
+    RunFolder::demand_free(&folder)?;
+    config.resolved.set_text(keys::FILLED_IN, &offered.description, keys::URL);
+    config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
+    let mut launch = launch(&config, offered, &folder, fingerprint);
+    if let Some(folder) = &resumed.resume {
+        resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;
+    }
+    launch.resume = resumed.resume.is_some();
+    if !launch.resume {
+        message_steps::fit(&mut config, &mut launch)?;
+    }
+    launch.validate().map_err(|error| Usage::new(error.to_string()))?;
+    Ok(PreparedRun { config, folder, launch, new })
+}
+
+/// As [`prepare`], but resumes the run in the configured folder if there is one, so that a learner can be restarted
+/// with the same command.
+pub(crate) fn prepare_or_resume(
+    settings: &SettingsArguments,
+    resumed: &ResumeArguments,
+    transport: &Transport,
+) -> anyhow::Result<PreparedRun> {
+    let resume = match &resumed.resume {
+        Some(folder) => Some(folder.clone()),
+        None => run_in_place(settings)?,
+    };
+    prepare(settings, &ResumeArguments { resume, ..resumed.clone() }, transport)
+}
+
+/// The configured folder, if it contains a run, whose own settings then hold.
+fn run_in_place(settings: &SettingsArguments) -> Result<Option<PathBuf>, ConfigError> {
+    let request = Request::from_process(settings.files.clone(), settings.written());
+    let resolved = layers::resolve(&request)?;
+    Ok(run_path::named(&resolved)?.filter(|folder| RunFolder::holds_run(folder)))
+}
+
+/// The settings of a new run, or those of `resumed` with permitted changes.
+fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Result<RunConfig> {
+    let mut request = Request::from_process(settings.files.clone(), settings.written());
+    let Some(folder) = resumed else {
+        return Ok(RunConfig::of(&request)?);
+    };
+    demand_resumable(folder)?;
+    let (file, old) = settings_of_run(folder)?;
+    request.resumed = Some(file);
+    let new = RunConfig::of(&request)?;
+    resume::check(&old, &new)?;
+    refuse_other_folder(&new, &old)?;
+    Ok(new)
+}
+
+/// Refuses another `run.dir` than that of the resumed run.
+fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigError> {
+    if run_path::named(&new.resolved)? == run_path::named(&old.resolved)? {
+        return Ok(());
+    }
+    let detail = "a resumed run stays in its folder";
+    Err(ConfigError::refused(&new.resolved, &["run.dir"], detail))
+}
+
+/// The start of a new run of `config`.
+fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Digest) -> Launch {
+    Launch {
+        config: config.learner.clone(),
+        training: config.training.clone(),
+        observations: config.observations(),
+        policy: config.policy.clone(),
+        manifest: manifest(config, &offered),
+        environment: offered.spec,
+        task_settings: offered.task_settings,
+        states: offered.decoder,
+        divergence_remedy: divergence_remedy(config).to_owned(),
+        seed: RunSeed(config.run.seed),
+        iterations: config.iterations(),
+        run_id: run_path::name(folder),
+        folder: folder.to_path_buf(),
+        config_toml: config.resolved.to_toml(),
+        config_sha256: Digest(config.resolved.sha256()),
+        build: BUILD.to_owned(),
+        rollout_fingerprint: fingerprint,
+        resume: false,
+    }
+}
+
+/// What helps if the simulated robot diverges; empty for the environment of another program.
+fn divergence_remedy(config: &RunConfig) -> &'static str {
+    match (&config.task.definition, config.environment.url.is_empty()) {
+        (_, false) => "",
+        (Some(_), true) => {
+            "lower `timestep` in the <option> of the model (and raise frame_skip in the task file, so that a step stays as \
+             long), or set integration = \"runge_kutta\" in its [physics]; check the gear, kp and kv of the actuators and the \
+             stiffness, damping and armature of the joints; `s2mia task check` shows the masses and torques"
+        }
+        (None, true) => {
+            "this robot has no setting for its physics; a run whose episodes all end early does not learn the task: try \
+             another seed or a smaller update.learning_rate, and report the settings of the run"
+        }
+    }
+}
+
+/// The fields of the manifest besides the learner's own.
+fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
+    json!({
+        "program": "s2mia",
+        "version": env!("CARGO_PKG_VERSION"),
+        "git_commit": env!("S2MIA_GIT_COMMIT"),
+        "rustc": env!("S2MIA_RUSTC"),
+        "task": offered.spec.task,
+        "environment_states": offered.states,
+        "algorithm": config.resolved.text("algorithm"),
+        "preset": config.resolved.text("preset"),
+        "seed": config.run.seed,
+    })
+}

@@ -10,8 +10,6 @@ mod config {
     pub(crate) mod conditions;
     #[path = "../../src/config/effect.rs"]
     pub(crate) mod effect;
-    #[path = "../../src/config/error.rs"]
-    pub(crate) mod error;
     #[path = "../../src/config/keys.rs"]
     pub(crate) mod keys;
     #[path = "../../src/config/layers.rs"]
@@ -28,14 +26,9 @@ mod config {
     pub(crate) mod rules;
     #[path = "../../src/config/run_config.rs"]
     pub(crate) mod run_config;
-    #[path = "../../src/config/run_settings.rs"]
-    pub(crate) mod run_settings;
-    #[path = "../../src/config/scalar.rs"]
-    pub(crate) mod scalar;
 
-    pub(crate) use error::ConfigError;
     pub(crate) use layers::Request;
-    pub(crate) use resolved::Resolved;
+    pub(crate) use resolved::{ConfigError, Resolved, line_and_message};
 }
 
 #[path = "../../src/errors.rs"]

@@ -13,11 +13,10 @@ use tokio::sync::watch;
 use crate::commands::control::seconds;
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
+use crate::endpoints::{self, ClientTlsArguments};
 use crate::errors::Usage;
-use crate::listening;
 use crate::process::{runtime, signals};
-use crate::run::launch::BUILD;
-use crate::tls::ClientTlsArguments;
+use crate::run::BUILD;
 
 /// `s2mia actor`
 #[derive(Args, Debug)]
@@ -98,7 +97,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::ActorConfig> {
     let config = actor::ActorConfig {
         learner: arguments.learner,
         transport,
-        token: listening::token_of_environment()?,
+        token: endpoints::token_of_environment()?,
         environment: arguments.environment,
         max_outage_secs: arguments.max_outage_secs.as_secs_f64(),
         name,

@@ -10,13 +10,12 @@ use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use security::addresses;
 use serde_json::json;
 
-use crate::config::run_settings::config_of_run;
+use crate::endpoints::{ClientTlsArguments, credentials, token_for_run};
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
-use crate::listening::token_for_run;
 use crate::process::{output, runtime, shell};
-use crate::run::{checkpointed, run_path};
-use crate::tls::{ClientTlsArguments, credentials};
+use crate::run::stored::config_of_run;
+use crate::run::{run_path, stored};
 
 /// Selects the learner.
 #[derive(Args, Debug)]
@@ -137,7 +136,7 @@ struct Reached {
 impl AtRest {
     /// Reads the newest checkpoint and the settings of the run in this folder.
     pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
-        let loaded = checkpointed::load_if_any(run)?;
+        let loaded = stored::load_if_any(run)?;
         let newest = loaded.map(|loaded| Reached {
             iteration: loaded.checkpoint.iteration,
             env_steps: loaded.checkpoint.env_steps,

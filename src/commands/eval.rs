@@ -13,8 +13,8 @@ use sim::EnvironmentBatch;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
-use crate::run::checkpointed::{self, Trained};
 use crate::run::offered::RunEnvironment;
+use crate::run::stored::{self, Trained};
 
 /// `s2mia eval`
 #[derive(Args, Debug)]
@@ -34,7 +34,7 @@ pub(crate) struct EvalArguments {
 
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained(&arguments.run)?;
+    let trained = stored::trained(&arguments.run)?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
     let episodes = play(hosted.environment.as_mut(), &trained, arguments)?;
     let task = &hosted.environment.description().task;

@@ -9,17 +9,15 @@ use tokio::sync::watch;
 
 use crate::errors::Usage;
 use crate::experiment::file::ExperimentFile;
-use crate::experiment::plan::{PlannedRun, plan, remarks};
-use crate::experiment::progress::ExperimentProgress;
 use crate::experiment::record::Record;
 use crate::experiment::run_state::{is_finished, listing};
-use crate::experiment::scheduler::Tally;
-use crate::experiment::selection::{Selection, Shard};
-use crate::experiment::submit::slurm::SlurmOptions;
-use crate::experiment::submit::{Jobs, k8s, slurm};
-use crate::experiment::{place, report, scheduler};
+use crate::experiment::scheduler::{ExperimentProgress, Tally};
+use crate::experiment::submit::{self, Jobs, SlurmOptions};
+use crate::experiment::{
+    PlannedRun, Selection, Shard, plan, remarks, report, run_state, scheduler,
+};
 use crate::process::{output, runtime, shell, signals, target};
-use crate::run::new_folder::Others;
+use crate::run::run_path::Others;
 
 /// `s2mia experiment`
 #[derive(Args, Debug)]
@@ -159,7 +157,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         demand_any(&file, &runs)?;
         return tell(&file, &runs);
     }
-    place::check(&file, &runs, others(arguments))?;
+    run_state::check_folder(&file, &runs, others(arguments))?;
     learner::store::durable::make_folder(&file.folder)?;
     let record = Record::read(&file.record)?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
@@ -188,19 +186,19 @@ fn submit(
     match engine {
         Engine::K8s => {
             let (image, queue) = cluster.k8s()?;
-            output::line(k8s::manifest(file, &jobs, image, queue)?.trim_end());
+            output::line(submit::k8s_manifest(file, &jobs, image, queue)?.trim_end());
         }
         Engine::Slurm if cluster.dry_run => {
-            output::line(slurm::script(file, &jobs, cluster.slurm()?)?.trim_end());
+            output::line(submit::slurm_script(file, &jobs, cluster.slurm()?)?.trim_end());
         }
         Engine::Slurm => {
-            let script = slurm::script(file, &jobs, cluster.slurm()?)?;
-            slurm::demand_sbatch()?;
-            place::check(file, runs, others(arguments))?;
+            let script = submit::slurm_script(file, &jobs, cluster.slurm()?)?;
+            submit::demand_sbatch()?;
+            run_state::check_folder(file, runs, others(arguments))?;
             learner::store::durable::make_folder(&file.folder)?;
-            let path = file.folder.join(slurm::SCRIPT_NAME);
+            let path = file.folder.join(submit::SLURM_SCRIPT_NAME);
             target::file(&path, script.as_bytes())?;
-            output::line(slurm::submit(&path)?);
+            output::line(submit::submit_to_slurm(&path)?);
         }
     }
     Ok(())

@@ -1,6 +1,5 @@
 //! `s2mia export`: a trained policy for other programs: ONNX for each agent, the weights, and an episode for comparison.
 
-mod graph;
 mod onnx;
 
 use std::collections::BTreeMap;
@@ -18,9 +17,9 @@ use sim::{EnvironmentBatch, Robot, SimError};
 use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
-use crate::run::checkpointed::Trained;
 use crate::run::offered::RunEnvironment;
-use crate::run::{checkpointed, run_path};
+use crate::run::stored::Trained;
+use crate::run::{run_path, stored};
 
 /// `s2mia export`
 #[derive(Args, Debug)]
@@ -37,7 +36,7 @@ pub(crate) struct ExportArguments {
 
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained(&arguments.run)?;
+    let trained = stored::trained(&arguments.run)?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
     target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();
@@ -65,7 +64,7 @@ fn export(
         let name = format!("agent_{index}.onnx");
         let about: BTreeMap<_, _> =
             common.clone().into_iter().chain(about_agent(described, world.robot())).collect();
-        target::file(&folder.join(&name), &graph::model(agent, &about).to_bytes())?;
+        target::file(&folder.join(&name), &onnx::model(agent, &about).to_bytes())?;
         files.push((name, sizes(agent)));
     }
     target::file(&folder.join("policy.safetensors"), &snapshot.to_bytes()?)?;
@@ -94,7 +93,7 @@ fn is_exported(name: &str) -> bool {
 
 /// Metadata of all agents' models: the run, the duration of a step, and who scales observations.
 fn common(trained: &Trained, task: &EnvironmentSpec) -> BTreeMap<String, String> {
-    let mut about = checkpointed::metadata(trained, &task.task);
+    let mut about = stored::metadata(trained, &task.task);
     let scaling = trained.config.resolved.text("observation.norm");
     about.insert("observation_scaling".to_owned(), scaling.to_owned());
     about.insert("dt_secs".to_owned(), task.dt_secs.to_string());

@@ -9,8 +9,8 @@ use crate::errors::Usage;
 use crate::film::{self, PlayedEpisode, TimedPose};
 use crate::process::output;
 use crate::process::target::{ForceArguments, Target};
-use crate::run::checkpointed::Trained;
-use crate::run::{checkpointed, run_path};
+use crate::run::stored::Trained;
+use crate::run::{run_path, stored};
 
 /// `s2mia film`
 #[derive(Args, Debug)]
@@ -39,7 +39,7 @@ pub(crate) struct FilmArguments {
 
 /// Writes the strip and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained(&arguments.run)?;
+    let trained = stored::trained(&arguments.run)?;
     demand_simulator(&trained, &arguments.run)?;
     let target = target(arguments)?;
     let episode = trained.episode(arguments.episode);

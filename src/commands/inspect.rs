@@ -9,8 +9,7 @@ use serde_json::json;
 use crate::config::run_config::RunConfig;
 use crate::config::{Request, effect};
 use crate::process::output;
-use crate::run::checkpointed;
-use crate::run::launch::SettingsArguments;
+use crate::run::{SettingsArguments, stored};
 
 /// Prints TOML that `--config` can read again.
 pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
@@ -33,7 +32,7 @@ pub(crate) struct InspectArguments {
 
 /// Iteration, env steps and both hashes.
 pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
-    let loaded = checkpointed::load(&arguments.run)?;
+    let loaded = stored::load(&arguments.run)?;
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());
     if arguments.json {

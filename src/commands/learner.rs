@@ -8,11 +8,10 @@ use clap::Args;
 use security::ServerTls;
 use tokio::sync::watch;
 
-use crate::listening::{self, Listening, PageArguments};
+use crate::endpoints::{self, Listening, PageArguments, ServerTlsArguments};
 use crate::process::{output, runtime, signals};
 use crate::progress::Progress;
-use crate::run::launch::{self, PreparedRun, ResumeArguments, SettingsArguments};
-use crate::tls::ServerTlsArguments;
+use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments};
 
 /// `s2mia learner`
 #[derive(Args, Debug)]
@@ -28,7 +27,7 @@ pub(crate) struct LearnerArguments {
         long,
         value_name = "ADDRESS",
         default_value = "127.0.0.1:50051",
-        value_parser = crate::listening::address
+        value_parser = crate::endpoints::address
     )]
     pub(crate) listen: SocketAddr,
     /// TLS.
@@ -54,7 +53,7 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
         signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))
     })?;
     let prepared =
-        launch::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
+        run::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
     runtime.block_on(serve(prepared, listening, page_tls, arguments, stop))
 }
 
@@ -75,7 +74,7 @@ async fn serve(
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let PreparedRun { config, folder, launch, new: _new } = prepared;
-    let token = listening::token_of_environment()?;
+    let token = endpoints::token_of_environment()?;
     let (mut listener, url) = listening.open().await?;
     if let Some(token) = token {
         listener = listener.with_token(token, &folder);

@@ -11,8 +11,8 @@ use learner::serve::page::{OverlaidRun, Overlay};
 use learner::store::json_lines::JsonLinesReader;
 use learner::store::run_folder::RunFolder;
 
+use crate::endpoints::PageAccess;
 use crate::figures::learning_curve;
-use crate::listening::PageAccess;
 use crate::process::runtime;
 use crate::run::run_path;
 
@@ -27,7 +27,7 @@ pub(crate) struct RunsPageArguments {
         long,
         value_name = "ADDRESS",
         default_value = "127.0.0.1:0",
-        value_parser = crate::listening::address
+        value_parser = crate::endpoints::address
     )]
     pub(crate) listen: SocketAddr,
     /// Access.

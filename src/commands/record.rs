@@ -12,9 +12,9 @@ use crate::figures::chart;
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
-use crate::run::checkpointed::Trained;
 use crate::run::offered::RunEnvironment;
-use crate::run::{checkpointed, run_path};
+use crate::run::stored::Trained;
+use crate::run::{run_path, stored};
 
 /// `s2mia record`
 #[derive(Args, Debug)]
@@ -37,7 +37,7 @@ pub(crate) struct RecordArguments {
 
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
-    let trained = checkpointed::trained(&arguments.run)?;
+    let trained = stored::trained(&arguments.run)?;
     let target = target(arguments, trained.iteration)?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
     let run = recorded(arguments, &trained, &hosted)?;
@@ -100,7 +100,7 @@ fn recorded<'a>(
 ) -> anyhow::Result<RecordedRun<'a>> {
     let config = &trained.config;
     let task = &hosted.environment.description().task;
-    let mut metadata = checkpointed::metadata(trained, task);
+    let mut metadata = stored::metadata(trained, task);
     metadata.insert("run_id".to_owned(), run_path::name(&RunFolder::of(&arguments.run)));
     let task_settings = match config.environment.url.as_str() {
         "" => serde_json::to_string(&config.task).context("cannot write the task's settings")?,

@@ -8,7 +8,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use crate::commands::Arguments;
 use crate::config::{keys, layers};
 use crate::process::output;
-use crate::run::launch::VALUE_NAME;
+use crate::run::VALUE_NAME;
 
 /// Prints help and version as clap does, and any other report as one line.
 pub(crate) fn report(error: &clap::Error) -> ExitCode {

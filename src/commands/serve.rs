@@ -14,13 +14,12 @@ use learner::store::run_folder::RunFolder;
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
-use crate::config::run_settings::config_of_run;
+use crate::endpoints::{Listening, ServerTlsArguments};
 use crate::errors::Usage;
-use crate::listening::Listening;
 use crate::process::{output, runtime, signals};
 use crate::run::offered::RunEnvironment;
-use crate::run::{checkpointed, run_path};
-use crate::tls::ServerTlsArguments;
+use crate::run::stored::config_of_run;
+use crate::run::{run_path, stored};
 
 /// `s2mia serve`
 #[derive(Args, Debug)]
@@ -32,7 +31,7 @@ pub(crate) struct ServeArguments {
         long,
         value_name = "ADDRESS",
         default_value = "127.0.0.1:50052",
-        value_parser = crate::listening::address
+        value_parser = crate::endpoints::address
     )]
     pub(crate) listen: SocketAddr,
     /// Load newer checkpoints of the run as they are written. An episode keeps the checkpoint that it started with.
@@ -81,7 +80,7 @@ impl ServedRun {
     /// # Errors
     /// The run has no valid checkpoint, or its environment cannot be reached.
     fn open(folder: &Path) -> anyhow::Result<Self> {
-        let loaded = checkpointed::load(folder)?;
+        let loaded = stored::load(folder)?;
         let config = config_of_run(folder)?;
         let hosted = RunEnvironment::of(&config)?;
         let environment = hosted.environment.description().clone();
@@ -122,7 +121,7 @@ impl ServedRun {
             let found = learner::store::checkpoint::newest_iteration(&self.path).ok().flatten();
             let Some(iteration) = found.filter(|iteration| *iteration > seen) else { continue };
             seen = iteration;
-            let loaded = checkpointed::load(&self.path);
+            let loaded = stored::load(&self.path);
             match loaded.and_then(|of| policies(of, &self.environment, &self.hidden_sizes)) {
                 Ok(policies) => {
                     let version = policies.name.version;

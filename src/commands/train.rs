@@ -16,13 +16,14 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 use crate::config::run_config::RunConfig;
+use crate::endpoints::PageArguments;
 use crate::figures::{chart, learning_curve};
-use crate::listening::PageArguments;
 use crate::process::{output, runtime, shell, signals};
 use crate::progress::Progress;
-use crate::run::launch::{PreparedRun, ResumeArguments, SettingsArguments};
 use crate::run::supervisor::ActorProcesses;
-use crate::run::{determinism, launch, run_path, supervisor};
+use crate::run::{
+    self, PreparedRun, ResumeArguments, SettingsArguments, determinism, run_path, supervisor,
+};
 
 /// `s2mia train`
 #[derive(Args, Debug)]
@@ -57,7 +58,7 @@ pub(crate) struct TrainArguments {
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
     arguments.page.check(None)?;
     let mut prepared =
-        launch::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
+        run::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     let audit = &mut prepared.launch.config.audit;
     *audit = audit.with_own_actors();
     if let Some(iterations) = arguments.verify_determinism {

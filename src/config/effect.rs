@@ -5,8 +5,7 @@ use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
 use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, Run, SURPRISE};
-use super::error::ConfigError;
-use super::resolved::Resolved;
+use super::resolved::{ConfigError, Resolved};
 use super::run_config::RunConfig;
 
 const GRU: Condition = Is("policy.core", &["gru"]);

@@ -7,11 +7,10 @@ use std::sync::LazyLock;
 
 use toml::{Table, Value};
 
-use super::error::{ConfigError, line_and_message};
+use super::keys;
 use super::own_task::OwnTask;
 use super::presets::{self, Preset};
-use super::resolved::Resolved;
-use super::{keys, scalar};
+use super::resolved::{ConfigError, Resolved, line_and_message};
 
 /// Prefix of the environment variables that are settings: `S2MIA__UPDATE__GAMMA` is `update.gamma`.
 pub(crate) const ENVIRONMENT_PREFIX: &str = "S2MIA__";
@@ -287,7 +286,7 @@ fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
             continue;
         }
         let default = known(place, &key)?;
-        let fitted = scalar::fitted(value.clone(), default);
+        let fitted = keys::fitted(value.clone(), default);
         let fitted = fitted.ok_or_else(|| wrong_kind(place, &key, default, &value.to_string()))?;
         values.insert(key, fitted);
     }
@@ -296,7 +295,7 @@ fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
 
 fn setting_layer(place: &str, key: &str, text: &str) -> Result<SettingsLayer, ConfigError> {
     let default = known(place, key)?;
-    let value = scalar::parsed(text, default)
+    let value = keys::parsed(text, default)
         .ok_or_else(|| wrong_kind(place, key, default, &format!("`{text}`")))?;
     let values = BTreeMap::from([(key.to_owned(), value)]);
     Ok(SettingsLayer { place: place.to_owned(), source: Source::User, values })
@@ -324,7 +323,7 @@ fn known(place: &str, key: &str) -> Result<&'static Value, ConfigError> {
 
 fn wrong_kind(place: &str, key: &str, default: &Value, found: &str) -> ConfigError {
     let found = found.split_whitespace().collect::<Vec<_>>().join(" ");
-    let expected = scalar::kind(default).to_owned();
+    let expected = keys::kind(default).to_owned();
     ConfigError::WrongKind { place: place.to_owned(), key: key.to_owned(), expected, found }
 }
 

@@ -12,8 +12,8 @@ use toml::Value;
 
 use crate::process::shell;
 
-use super::error::ConfigError;
 use super::layers::{SettingsLayer, Source};
+use super::resolved::ConfigError;
 
 /// Text of the task file; empty for a task of the program.
 pub(crate) const FILE: &str = "task_file.text";

@@ -8,8 +8,8 @@ use policy::setting::{SettingError, multiple, within};
 use proto::EnvironmentSpec;
 
 use super::conditions::{Condition, INFLUENCE, MADDPG, Property, Run};
-use super::error::ConfigError;
 use super::message_steps::{MESSAGE, SLOT, WINDOW};
+use super::resolved::ConfigError;
 use super::run_config::RunConfig;
 
 /// A value that does not go with others.

@@ -10,9 +10,8 @@ use serde::de::DeserializeOwned;
 use sim::{ObservationNorm, TaskDefinition};
 
 use super::conditions::Run;
-use super::error::{ConfigError, in_words};
 use super::layers::{self, Request};
-use super::resolved::Resolved;
+use super::resolved::{ConfigError, Resolved, in_words};
 use super::{effect, message_steps, own_task, rules};
 
 /// More actor processes than this on one machine are a mistake.
@@ -120,7 +119,8 @@ impl RunConfig {
         Ok(config)
     }
 
-    pub(super) fn of_file(file: &Path) -> Result<Self, ConfigError> {
+    /// The configuration with the settings of this file, of which each key has a value.
+    pub(crate) fn of_file(file: &Path) -> Result<Self, ConfigError> {
         let resumed = Some(file.to_path_buf());
         Self::of(&Request { resumed, ..Request::default() })
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use crate::config::error::line_and_message;
+use crate::config::line_and_message;
 use crate::config::own_task::OwnTask;
 use crate::errors::Usage;
 use crate::process::shell;

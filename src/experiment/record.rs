@@ -12,7 +12,7 @@ use policy::arrays::hex;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-use super::plan::PlannedRun;
+use super::PlannedRun;
 use super::run_state::last_lines;
 use crate::figures::learning_curve::{Curve, Quantity};
 
@@ -255,7 +255,7 @@ mod tests {
     use super::*;
     use crate::experiment::file::ExperimentFile;
     use crate::experiment::file::tests::SAMPLE;
-    use crate::experiment::plan::plan;
+    use crate::experiment::plan;
 
     fn planned() -> Vec<PlannedRun> {
         plan(&toml::from_str::<ExperimentFile>(SAMPLE).unwrap()).unwrap()

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use super::PlannedRun;
 use super::comparison::{Comparison, Measure, comparisons};
 use super::file::ExperimentFile;
-use super::plan::PlannedRun;
 use super::record::{Record, at_evaluations};
 use super::results::{Estimate, Measured, ResultRow, rows};
 use super::run_state::{RunFolderState, mismatch, run_state};

@@ -1,7 +1,11 @@
-//! Jobs of a cluster that compute an experiment: each job is one shard of the runs.
+//! Jobs of a cluster that compute an experiment, each one shard of the runs: a Slurm job array, or an Indexed Job of Kubernetes
+//! with its volume and the experiment's file.
 
-pub(crate) mod k8s;
-pub(crate) mod slurm;
+use std::io::ErrorKind;
+use std::path::{Component, Path};
+use std::process::Command;
+
+use anyhow::Context as _;
 
 use super::file::ExperimentFile;
 use crate::errors::Usage;
@@ -59,9 +63,167 @@ fn filled(template: &str, values: &[(&str, &str)]) -> String {
     values.iter().fold(template.to_owned(), put)
 }
 
+/// The script of each job.
+const SLURM_SCRIPT: &str = include_str!("submit/slurm.sh");
+
+/// Name of the script in the experiment's folder.
+pub(crate) const SLURM_SCRIPT_NAME: &str = "slurm.sh";
+
+/// Options that the script passes to Slurm.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SlurmOptions<'a> {
+    /// Partition; `None`: the cluster's default.
+    pub(crate) partition: Option<&'a str>,
+    /// Time limit in Slurm's notation; `None`: the partition's.
+    pub(crate) time: Option<&'a str>,
+}
+
+/// The script of the job array. Paths are absolute, because jobs start in another folder.
+///
+/// # Errors
+/// Names an option or a path that a script cannot contain.
+pub(crate) fn slurm_script(
+    file: &ExperimentFile,
+    jobs: &Jobs,
+    options: SlurmOptions<'_>,
+) -> anyhow::Result<String> {
+    let directory = std::env::current_dir().context("cannot find the current folder")?;
+    let program = std::env::current_exe().context("cannot find this program")?;
+    let lines = [("--partition", options.partition), ("--time", options.time)];
+    let lines = lines.into_iter().filter_map(|(option, value)| Some((option, value?)));
+    let lines =
+        lines.map(|(option, value)| Ok(format!("#SBATCH {option}={}\n", word(option, value)?)));
+    let lines: String = lines.collect::<Result<_, Usage>>()?;
+    // Slurm replaces %A and %a by the ids of the array and the job, and %% by %.
+    let log = directory.join(&file.folder).join("slurm-").display().to_string().replace('%', "%%");
+    let limit = jobs.limit.map_or_else(String::new, |limit| format!("%{limit}"));
+    Ok(filled(
+        SLURM_SCRIPT,
+        &[
+            ("NAME", &name(file)),
+            ("LAST", &(jobs.count() - 1).to_string()),
+            ("LIMIT", &limit),
+            ("CPUS", &cores(file).to_string()),
+            ("MEMORY", &MEMORY_GIB.to_string()),
+            ("COUNT", &jobs.count().to_string()),
+            ("OPTIONS", &lines),
+            ("LOG", &quoted(&format!("{log}%A_%a.log"))?),
+            ("DIRECTORY", &quoted(&directory.to_string_lossy())?),
+            ("PROGRAM", &quoted(&program.to_string_lossy())?),
+            ("FILE", &quoted(&directory.join(&file.path).to_string_lossy())?),
+        ],
+    ))
+}
+
+/// Refuses a host without `sbatch`, before anything is written.
+pub(crate) fn demand_sbatch() -> Result<(), Usage> {
+    match Command::new("sbatch").arg("--version").output() {
+        Err(error) if error.kind() == ErrorKind::NotFound => Err(Usage::new(
+            "sbatch is not installed on this host; run the command on a login node of the cluster, \
+             or print the script with --dry-run",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Submits the script; returns what `sbatch` says.
+///
+/// # Errors
+/// Tells what `sbatch` refuses.
+pub(crate) fn submit_to_slurm(script: &Path) -> anyhow::Result<String> {
+    let output = Command::new("sbatch").arg(script).output().context("cannot start sbatch")?;
+    if !output.status.success() {
+        let why = String::from_utf8_lossy(&output.stderr);
+        let why = why.split_whitespace().collect::<Vec<_>>().join(" ");
+        anyhow::bail!("sbatch refuses {}: {why}", script.display());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+/// One word of a shell, and of a line that Slurm reads.
+fn quoted(path: &str) -> Result<String, Usage> {
+    if path.contains('\n') {
+        return Err(Usage::new(format!("a script cannot name a path with a line break: {path:?}")));
+    }
+    Ok(format!("'{}'", path.replace('\'', r"'\''")))
+}
+
+/// All documents.
+const K8S_MANIFEST: &str = include_str!("submit/k8s.yaml");
+
+/// The manifest for `kubectl apply`.
+///
+/// # Errors
+/// Names an option, a folder or a task that does not exist in a pod, or the file if it cannot be read.
+pub(crate) fn k8s_manifest(
+    file: &ExperimentFile,
+    jobs: &Jobs,
+    image: &str,
+    queue: Option<&str>,
+) -> anyhow::Result<String> {
+    let [folder, record] = &file.written;
+    demand_relative("folder", folder)?;
+    demand_relative("record", record)?;
+    let mut tasks =
+        file.variants.iter().filter_map(|v| v.tasks.as_ref()).chain([&file.tasks]).flatten();
+    if let Some(task) = tasks.find(|task| Path::new(task).extension().is_some()) {
+        let why = format!(
+            "{task} is a file of this host; --submit k8s needs tasks that `s2mia tasks` lists"
+        );
+        return Err(Usage::new(why).into());
+    }
+    let text = std::fs::read_to_string(&file.path);
+    let text = text.with_context(|| format!("cannot read {}", file.path.display()))?;
+    let text: Vec<String> = text.lines().map(|line| format!("    {line}")).collect();
+    let queue = queue.map(|queue| word("--queue", queue)).transpose()?;
+    let queue = queue.map_or_else(String::new, |queue| {
+        format!("\n  labels: {{kueue.x-k8s.io/queue-name: \"{queue}\"}}")
+    });
+    let count = jobs.count();
+    let file_name = file.path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(filled(
+        K8S_MANIFEST,
+        &[
+            ("NAME", &name(file)),
+            ("QUEUE", &queue),
+            ("COUNT", &count.to_string()),
+            ("PARALLEL", &jobs.limit.unwrap_or(count).min(count).to_string()),
+            ("IMAGE", word("--image", image)?),
+            ("CPUS", &cores(file).to_string()),
+            ("MEMORY", &MEMORY_GIB.to_string()),
+            ("FILE", key_of_a_map(&file_name)?),
+            ("TEXT", &text.join("\n")),
+        ],
+    ))
+}
+
+/// Refuses a name that no key of a ConfigMap can have.
+fn key_of_a_map(name: &str) -> Result<&str, Usage> {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+    if !name.chars().all(plain) {
+        return Err(Usage::new(format!(
+            "{name}: --submit k8s needs a file name of letters, digits, `-`, `_` and `.`"
+        )));
+    }
+    Ok(name)
+}
+
+/// The volume holds the paths that start in the working folder.
+fn demand_relative(key: &str, path: &Path) -> Result<(), Usage> {
+    let is_inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+    if !path.components().all(is_inside) {
+        return Err(Usage::new(format!(
+            "{key} = \"{}\" does not exist in a pod; --submit k8s needs a relative path without `..`",
+            path.display()
+        )));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::file::tests::SAMPLE;
 
     #[test]
     fn the_jobs_of_an_experiment_contain_all_its_runs() {
@@ -75,5 +237,40 @@ mod tests {
         for value in ["", "a b", "a\n#SBATCH --uid=0"] {
             assert!(word("--time", value).unwrap_err().to_string().starts_with("--time "));
         }
+    }
+
+    fn sample(path: &str) -> ExperimentFile {
+        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+        ExperimentFile { path: path.into(), folder: "runs/it's".into(), ..file }
+    }
+
+    #[test]
+    fn the_script_asks_for_the_cores_of_a_run_and_computes_one_shard_in_each_job() {
+        let jobs = Jobs { runs: 5, runs_per_job: 2, limit: Some(2) };
+        let options = SlurmOptions { partition: Some("short"), time: Some("1:00:00") };
+        let text = slurm_script(&sample("a b.toml"), &jobs, options).unwrap();
+        for line in [
+            "#SBATCH --job-name=s2mia-a-b\n",
+            "#SBATCH --array=0-2%2\n",
+            "#SBATCH --cpus-per-task=2\n",
+            "#SBATCH --partition=short\n",
+            "#SBATCH --time=1:00:00\n",
+            "/a b.toml' --shard \"$SLURM_ARRAY_TASK_ID/3\" --jobs 1 &\n",
+            "/runs/it'\\''s/slurm-%A_%a.log'\n",
+            "#SBATCH --signal=B:TERM@120\n",
+        ] {
+            assert!(text.contains(line), "{line}\n{text}");
+        }
+        // What is left out is left to the cluster.
+        let jobs = Jobs { runs: 5, runs_per_job: 1, limit: None };
+        let text = slurm_script(&sample("a.toml"), &jobs, SlurmOptions::default()).unwrap();
+        assert!(text.contains("#SBATCH --array=0-4\n"), "{text}");
+        assert!(!text.contains("--time") && !text.contains("--partition"), "{text}");
+    }
+
+    #[test]
+    fn a_path_with_a_line_break_is_refused() {
+        let error = quoted("a\nb").unwrap_err().to_string();
+        assert!(error.contains(r#""a\nb""#), "{error}");
     }
 }

@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use learner::store::checkpoint;
 
 use crate::process::output;
-use crate::run::launch::SettingsArguments;
+use crate::run::SettingsArguments;
 
 /// Name of a trial, its number of actors, and the iteration after which it is stopped and resumed.
 const TRIALS: [(&str, usize, Option<u64>); 3] =
