@@ -211,42 +211,14 @@ mod tests {
         let mut surprise = surprise(0.1, 2);
         surprise.refit(&batch, 0).unwrap();
         let rewards = surprise.relabel(&batch);
-        // Means 2 and 6, variances 8/3 and 2.
-        let by_hand = |x: f64, mean: f64, variance: f64| {
-            let z = (x - mean) * (x - mean) / variance;
-            2.0 + 0.1 * (-0.5 * z - 0.5 * libm::log(variance))
-        };
-        for (row, &observation) in [0.0, 2.0, 4.0].iter().enumerate() {
-            assert!(
-                (f64::from(rewards[0][row]) - by_hand(observation, 2.0, 8.0 / 3.0)).abs() < 1e-6
-            );
-        }
-        for (row, &observation) in [5.0, 5.0, 8.0].iter().enumerate() {
-            assert!((f64::from(rewards[1][row]) - by_hand(observation, 6.0, 2.0)).abs() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn agents_with_equal_observations_have_equal_rewards() {
-        let seen = vec![0.5, -2.0, 4.0];
-        let batch = batch(vec![seen.clone(), seen]);
-        let mut surprise = surprise(0.1, 2);
-        surprise.refit(&batch, 0).unwrap();
-        let rewards = surprise.relabel(&batch);
-        assert_eq!(rewards[0], rewards[1]);
-    }
-
-    #[test]
-    fn relabelling_adds_the_surprise_reward() {
-        let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
-        let mut surprise = surprise(0.1, 2);
-        surprise.refit(&batch, 0).unwrap();
-        let relabelled = surprise.relabel(&batch);
-        for (agent, rewards) in surprise.agents.iter().zip(&relabelled) {
-            for (score, relabelled) in agent.scores().iter().zip(rewards) {
-                assert!(
-                    *score < 0.0 && (f64::from(*relabelled) - (2.0 + 0.1 * score)).abs() < 1e-6
-                );
+        for (seen, rewards, mean, variance) in [
+            ([0.0, 2.0, 4.0], &rewards[0], 2.0, 8.0 / 3.0),
+            ([5.0, 5.0, 8.0], &rewards[1], 6.0, 2.0),
+        ] {
+            for (x, reward) in seen.iter().zip(rewards) {
+                let z = (x - mean) * (x - mean) / variance;
+                let by_hand = 2.0 + 0.1 * (-0.5 * z - 0.5 * libm::log(variance));
+                assert!((f64::from(*reward) - by_hand).abs() < 1e-6, "{reward} {by_hand}");
             }
         }
     }

@@ -277,22 +277,6 @@ mod tests {
     }
 
     #[test]
-    fn corrupt_and_malicious_bytes_are_rejected_without_a_panic() {
-        let bytes = to_safetensors(&sample(), &BTreeMap::new()).expect("shapes fit");
-        for length in 0..bytes.len() {
-            assert!(from_safetensors(&bytes[..length]).is_err(), "{length} bytes were accepted");
-        }
-        let mut huge = bytes.clone();
-        huge[..8].copy_from_slice(&u64::MAX.to_le_bytes());
-        assert!(from_safetensors(&huge).is_err());
-        for index in 0..bytes.len() {
-            let mut flipped = bytes.clone();
-            flipped[index] ^= 0x55;
-            let _ = from_safetensors(&flipped);
-        }
-    }
-
-    #[test]
     fn a_wrong_shape_is_rejected_by_name() {
         let wrong = Array::F32 { shape: vec![3], data: vec![1.0] };
         let error = to_safetensors(&NamedArrays::from([("x".to_owned(), wrong)]), &BTreeMap::new())

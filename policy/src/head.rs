@@ -202,6 +202,7 @@ mod tests {
         for head in [EXPLORING, WARMING_UP, Head::Gaussian] {
             assert!(head.check(1).is_ok());
         }
+        assert!(Head::Categorical { choices: 3 }.check(2).is_err());
         for head in [
             Head::Uniform { low: 1.0, high: 1.0 },
             Head::Uniform { low: f32::NAN, high: 1.0 },

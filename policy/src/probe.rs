@@ -73,11 +73,3 @@ pub fn config(core: CoreKind) -> PolicyConfig {
         head_gain: 1.0,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_probe_is_deterministic() {
-        assert_eq!(super::probe(), super::probe());
-    }
-}

@@ -104,17 +104,13 @@ mod tests {
     fn one_in_three_is_one_in_three_in_each_environment_and_in_each_episode() {
         let three = Episodes::Every(3);
         for environment in 0..6 {
-            let held =
-                (0..9).filter(|episode| three.include_rollout(environment, *episode)).count();
-            assert_eq!(held, 3, "environment {environment}");
+            let held = (0..9).filter(|&episode| three.include_rollout(environment, episode));
+            assert_eq!(held.count(), 3, "environment {environment}");
         }
-        let held = (0..9).filter(|environment| three.include_rollout(*environment, 4)).count();
-        assert_eq!(held, 3);
-        assert!(
-            three.include_rollout(0, 0)
-                && three.include_evaluation(0)
-                && !three.include_evaluation(2)
-        );
+        let held = (0..9).filter(|&environment| three.include_rollout(environment, 4));
+        assert_eq!(held.count(), 3);
+        assert!(three.include_rollout(0, 0) && three.include_evaluation(0));
+        assert!(!three.include_evaluation(2));
         assert!(three.include_rollout(u32::MAX, u64::MAX), "3 divides both");
     }
 

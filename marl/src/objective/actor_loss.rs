@@ -234,54 +234,45 @@ mod tests {
         (p.of_rows(&rows), part)
     }
 
-    /// Compares the loss with a worked case of the given entropy and capped divergence.
-    fn meets_hand_worked((p, rows): (HeadRows, Rows), entropy: f64, cap: f64) {
-        let loss = actor_loss(&p, &rows, 3, &ALL).0;
-        // Row 2 is clipped at 1.2. The ratio of row 3 is below the interval, but its advantage is positive.
-        let surrogate = (1.0 * 1.1 * 0.7 + 1.3 * 1.2 * 1.2 + 0.8 * 0.6 * 0.9) / 3.0;
-        let divergence = rows.posterior.unwrap().kl_divergences(&p);
-        let influence = (divergence[0] + divergence[1] + cap) / 3.0;
-        let by_hand = -surrogate - 0.4 * influence - 0.03 * entropy;
-        assert!((loss.loss - by_hand).abs() < 1e-12, "{} {by_hand}", loss.loss);
-        assert!((loss.clip_fraction - 2.0 / 3.0).abs() < 1e-12);
-        assert!((loss.capped_fraction - 1.0 / 3.0).abs() < 1e-12);
-    }
-
     #[test]
     fn the_loss_matches_a_worked_case() {
-        // The cap is 1 per dimension.
-        meets_hand_worked(gaussians(), gaussian::entropy(&gaussians().0.sigma), 2.0);
-    }
-
-    #[test]
-    fn the_loss_of_choices_matches_a_worked_case() {
         let p = choices().0;
         let entropy = (0..3).map(|row| p.distribution().row_entropy(p.row(row).outputs));
-        meets_hand_worked(choices(), entropy.sum::<f64>() / 3.0, 1.0);
+        // The cap is 1 per dimension.
+        for ((p, rows), entropy, cap) in [
+            (gaussians(), gaussian::entropy(&gaussians().0.sigma), 2.0),
+            (choices(), entropy.sum::<f64>() / 3.0, 1.0),
+        ] {
+            let loss = actor_loss(&p, &rows, 3, &ALL).0;
+            // Row 2 is clipped at 1.2. The ratio of row 3 is below the interval, but its advantage is positive.
+            let surrogate = (1.0 * 1.1 * 0.7 + 1.3 * 1.2 * 1.2 + 0.8 * 0.6 * 0.9) / 3.0;
+            let divergence = rows.posterior.unwrap().kl_divergences(&p);
+            let influence = (divergence[0] + divergence[1] + cap) / 3.0;
+            let by_hand = -surrogate - 0.4 * influence - 0.03 * entropy;
+            assert!((loss.loss - by_hand).abs() < 1e-12, "{} {by_hand}", loss.loss);
+            assert!((loss.clip_fraction - 2.0 / 3.0).abs() < 1e-12);
+            assert!((loss.capped_fraction - 1.0 / 3.0).abs() < 1e-12);
+        }
     }
 
     #[test]
     fn the_gradient_matches_finite_differences() {
         for (p, rows) in [gaussians(), choices()] {
-            gradient_meets_finite_differences(&p, &rows);
+            let found = actor_loss(&p, &rows, 3, &ALL).1;
+            let check = |of: fn(&mut HeadRows) -> &mut Vec<f64>| {
+                for (at, found) in of(&mut found.clone()).iter().enumerate() {
+                    let moved = |by: f64| {
+                        let mut to = p.clone();
+                        of(&mut to)[at] += by;
+                        actor_loss(&to, &rows, 3, &ALL).0.loss
+                    };
+                    let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                    assert!((slope - found).abs() < 1e-7 * (1.0 + slope.abs()), "{slope} {found}");
+                }
+            };
+            check(|rows| &mut rows.outputs);
+            check(|rows| &mut rows.sigma);
         }
-    }
-
-    fn gradient_meets_finite_differences(p: &HeadRows, rows: &Rows) {
-        let found = actor_loss(p, rows, 3, &ALL).1;
-        let check = |of: fn(&mut HeadRows) -> &mut Vec<f64>| {
-            for (at, found) in of(&mut found.clone()).iter().enumerate() {
-                let moved = |by: f64| {
-                    let mut to = p.clone();
-                    of(&mut to)[at] += by;
-                    actor_loss(&to, rows, 3, &ALL).0.loss
-                };
-                let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-                assert!((slope - found).abs() < 1e-7 * (1.0 + slope.abs()), "{slope} {found}");
-            }
-        };
-        check(|rows| &mut rows.outputs);
-        check(|rows| &mut rows.sigma);
     }
 
     #[test]

@@ -81,29 +81,19 @@ mod tests {
 
     const HALF: Horizon = Horizon { gamma: 0.5, lambda: 0.5 };
 
-    fn batch(steps: usize, environments: usize, ends: &[(usize, usize, char)]) -> Batch {
-        let rows = steps * environments;
-        let mut batch = Batch { steps, environments, ..Batch::default() };
-        batch.terminated = vec![false; rows];
-        batch.truncated = vec![false; rows];
-        for &(step, environment, kind) in ends {
-            let row = step * environments + environment;
-            let flags = if kind == 't' { &mut batch.terminated } else { &mut batch.truncated };
-            flags[row] = true;
-        }
-        for row in 0..rows {
-            let (step, environment) = (row / environments, row % environments);
-            if batch.done(row) || step + 1 == steps {
-                batch.finals.push(Final { step, environment, ..Final::default() });
-            }
-        }
-        batch
+    /// Steps of one environment, some of which end an episode.
+    fn batch(steps: usize, terminated: &[usize], truncated: &[usize]) -> Batch {
+        let ended = |at: &[usize]| (0..steps).map(|step| at.contains(&step)).collect::<Vec<_>>();
+        let (terminated, truncated) = (ended(terminated), ended(truncated));
+        let ends = (0..steps).filter(|&at| terminated[at] || truncated[at] || at + 1 == steps);
+        let finals = ends.map(|step| Final { step, ..Final::default() }).collect();
+        Batch { steps, environments: 1, terminated, truncated, finals, ..Batch::default() }
     }
 
     #[test]
     fn advantages_with_every_kind_of_end_match_a_worked_case() {
         // Steps 0 1 | 2 3 | 4: termination after 1, truncation after 3, slot's end after 4.
-        let batch = batch(5, 1, &[(1, 0, 't'), (3, 0, 'u')]);
+        let batch = batch(5, &[1], &[3]);
         let values = [1.0, 2.0, 3.0, 4.0, 5.0];
         let next = next_values(&batch, &values, &[100.0, 8.0, 6.0]);
         assert_eq!(next, vec![2.0, 0.0, 4.0, 8.0, 6.0]);
@@ -114,19 +104,8 @@ mod tests {
     }
 
     #[test]
-    fn advantages_of_environments_are_independent() {
-        let both = batch(2, 2, &[(0, 1, 't')]);
-        let values = [1.0, 10.0, 2.0, 20.0];
-        let next = next_values(&both, &values, &[7.0, 4.0, 40.0]);
-        assert_eq!(next, vec![2.0, 0.0, 4.0, 40.0]);
-        let found = advantage(&both, &[1.0, 0.0, 1.0, 0.0], &values, &next, HALF);
-        // left: A1 = 1 + 2 - 2 = 1, A0 = 1 + 1 - 1 + .25 = 1.25; right: A1 = 0, A0 = -10
-        assert_eq!(found, vec![1.25, -10.0, 1.0, 0.0]);
-    }
-
-    #[test]
     fn with_lambda_one_the_advantage_is_the_discounted_return_minus_the_value() {
-        let whole = batch(4, 1, &[(3, 0, 't')]);
+        let whole = batch(4, &[3], &[]);
         let reward = [1.0, -2.0, 3.0, 0.5];
         let values = [0.3, 0.1, -0.7, 0.9];
         let next = next_values(&whole, &values, &[123.0]);
@@ -138,7 +117,7 @@ mod tests {
 
     #[test]
     fn with_lambda_zero_the_advantage_is_the_one_step_error() {
-        let whole = batch(2, 1, &[]);
+        let whole = batch(2, &[], &[]);
         let next = next_values(&whole, &[1.0, 2.0], &[3.0]);
         let short = Horizon { gamma: 0.5, lambda: 0.0 };
         assert_eq!(advantage(&whole, &[1.0, 1.0], &[1.0, 2.0], &next, short), vec![1.0, 0.5]);

@@ -67,18 +67,9 @@ mod tests {
     }
 
     #[test]
-    fn over_four_iterations_the_learning_rate_falls_by_quarters() {
-        let shares = [0, 1, 2, 3].map(|k| LearningRateDecay::Linear.share(k, 4));
-        assert_eq!(shares, [1.0, 0.75, 0.5, 0.25]);
-    }
-
-    #[test]
-    fn without_decay_the_learning_rate_is_constant() {
+    fn the_learning_rate_falls_linearly_to_zero_or_is_constant() {
+        let shares = [0, 1, 2, 3, 5].map(|k| LearningRateDecay::Linear.share(k, 4));
+        assert_eq!(shares, [1.0, 0.75, 0.5, 0.25, 0.0]);
         assert_eq!(LearningRateDecay::None.share(3, 4), 1.0);
-    }
-
-    #[test]
-    fn after_the_last_iteration_the_learning_rate_is_zero() {
-        assert_eq!(LearningRateDecay::Linear.share(5, 4), 0.0);
     }
 }

@@ -214,15 +214,6 @@ mod tests {
     }
 
     #[test]
-    fn epsilon_is_added_to_the_root_of_the_second_moment() {
-        let parameters = zeros();
-        let mut adam = Adam::new(AdamConfig { epsilon: 1.0, ..CONFIG }, &parameters);
-        // .1 * 1 / (1 + 1) and .1 * 3 / (3 + 1).
-        adam.step(&parameters, &gradients([1.0, 3.0])).unwrap();
-        close(values(&parameters), [-0.05, -0.075]);
-    }
-
-    #[test]
     fn a_gradient_is_clipped_by_its_global_norm_and_reported_before_clipping() {
         for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
             let parameters = zeros();

@@ -1,12 +1,14 @@
 //! Whole updates with extreme or invalid numbers: an update is skipped, or clamped and counted, and every weight stays
 //! finite.
 
+use std::fmt::Debug;
+
 use policy::arrays::Array;
 use policy::{CoreKind, NamedArrays, PolicyConfig, RunSeed};
 
 use super::*;
 use crate::config::{DensityKind, Sharing};
-use crate::data::batch::{Batch, Final, Rewards};
+use crate::data::batch::{Batch, Rewards};
 use crate::rules::algorithm::Report;
 use crate::sample;
 use crate::surprise::Surprise;
@@ -41,40 +43,15 @@ fn numbers(arrays: &NamedArrays, prefix: &str) -> Vec<f64> {
     .collect()
 }
 
-fn finite(algorithm: &mut dyn Algorithm) -> bool {
-    numbers(&algorithm.arrays().unwrap(), "").iter().all(|number| number.is_finite())
+fn assert_finite(algorithm: &mut dyn Algorithm, report: &Report, case: &dyn Debug) {
+    assert!(report.iter().all(|(_, value)| value.is_finite()), "{case:?} {report:?}");
+    let state = numbers(&algorithm.arrays().unwrap(), "");
+    assert!(state.iter().all(|number| number.is_finite()), "{case:?}");
 }
 
 fn named(report: &Report, name: &str) -> f64 {
     let found = report.iter().find(|(own, _)| own == name);
     found.unwrap_or_else(|| panic!("{name} is not among {report:?}")).1
-}
-
-/// The first `environments` environments of the sample's batch.
-fn narrowed(environments: usize) -> Batch {
-    let whole = sample::batch();
-    let of = |data: &[f32], rows: usize| -> Vec<f32> {
-        let width = data.len() / rows / whole.environments;
-        let row = |row| &data[row * whole.environments * width..][..environments * width];
-        (0..rows).flat_map(row).copied().collect()
-    };
-    let steps = whole.steps;
-    let agents = whole.agents.iter().map(|agent| crate::data::batch::AgentBatch {
-        observation: of(&agent.observation, steps),
-        action: of(&agent.action, steps),
-        log_prob: of(&agent.log_prob, steps),
-        hidden: of(&agent.hidden, steps / sample::policy().backpropagation_steps),
-    });
-    Batch {
-        agents: agents.collect(),
-        state: of(&whole.state, steps),
-        reward: of(&whole.reward, steps),
-        terminated: vec![false; steps * environments],
-        truncated: vec![false; steps * environments],
-        finals: whole.finals[..environments].to_vec(),
-        environments,
-        steps,
-    }
 }
 
 #[test]
@@ -103,10 +80,9 @@ fn huge_rewards_give_a_finite_update() {
         let rewards = vec![batch.reward.iter().map(|reward| 1e30 * reward).collect(); 2];
         for iteration in 0..3 {
             let report = algorithm.update(&batch, &rewards, iteration).unwrap();
-            assert!(report.iter().all(|(_, value)| value.is_finite()), "{rule:?} {report:?}");
+            assert_finite(algorithm.as_mut(), &report, &rule);
             assert_eq!(named(&report, "agent0/skipped_steps"), 0.0, "{rule:?}");
         }
-        assert!(finite(algorithm.as_mut()), "{rule:?}");
     }
 }
 
@@ -133,6 +109,13 @@ fn equal_advantages_change_no_policy_and_are_counted() {
     }
 }
 
+/// The rewards with the surprise of a fitted density.
+fn relabelled(config: &Config, batch: &Batch) -> Rewards {
+    let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
+    surprise.refit(batch, 0).unwrap();
+    surprise.relabel(batch)
+}
+
 #[test]
 fn constant_features_give_a_finite_update() {
     for still in 1..=19 {
@@ -142,54 +125,37 @@ fn constant_features_give_a_finite_update() {
             rows.for_each(|row| row[..still].fill(3.0));
         }
         let config = sample::config();
-        let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
-        surprise.refit(&batch, 0).unwrap();
         let mut algorithm = algorithm(&config);
-        let report = algorithm.update(&batch, &surprise.relabel(&batch), 0).unwrap();
-        assert!(report.iter().all(|(_, value)| value.is_finite()), "{still}: {report:?}");
-        assert!(finite(algorithm.as_mut()));
+        let report = algorithm.update(&batch, &relabelled(&config, &batch), 0).unwrap();
+        assert_finite(algorithm.as_mut(), &report, &still);
     }
 }
 
 #[test]
 fn one_environment_with_one_episode_suffices_for_an_update() {
-    let mut batch = narrowed(1);
-    let last = batch.rows() - 1;
-    batch.terminated[last] = true;
+    let mut batch = sample::batch_of(20, 1);
+    batch.terminated[19] = true;
     for rule in RULES {
         let mut algorithm = algorithm(&config(rule));
         let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
-        assert!(report.iter().all(|(_, value)| value.is_finite()), "{rule:?} {report:?}");
+        assert_finite(algorithm.as_mut(), &report, &rule);
         // Without a held-out environment its metrics are absent.
         assert!(report.iter().all(|(name, _)| !name.contains("mi_estimate")));
-        assert!(finite(algorithm.as_mut()), "{rule:?}");
     }
 }
 
 #[test]
 fn one_step_suffices_for_every_density_and_an_update() {
-    let mut batch = narrowed(1);
-    batch.steps = 1;
-    for agent in &mut batch.agents {
-        agent.observation.truncate(19);
-        agent.action.truncate(3);
-        agent.log_prob.truncate(1);
-        agent.hidden.truncate(64);
-    }
-    batch.state.truncate(17);
-    batch.reward.truncate(1);
-    (batch.terminated, batch.truncated) = (vec![true], vec![false]);
-    batch.finals[0] = Final { step: 0, ..batch.finals[0].clone() };
+    let mut batch = sample::batch_of(1, 1);
+    batch.terminated[0] = true;
     let policy = PolicyConfig { backpropagation_steps: 1, ..sample::policy() };
     for density in [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae] {
         let mut config = sample::config();
         config.surprise.density = density;
-        let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
-        surprise.refit(&batch, 0).unwrap();
         let mut algorithm = build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap();
-        let report = algorithm.update(&batch, &surprise.relabel(&batch), 0).unwrap();
+        let report = algorithm.update(&batch, &relabelled(&config, &batch), 0).unwrap();
         assert_eq!(named(&report, "losses/update_skipped"), 0.0, "{density:?}");
-        assert!(finite(algorithm.as_mut()), "{density:?}");
+        assert_finite(algorithm.as_mut(), &Report::new(), &density);
     }
 }
 
@@ -214,7 +180,7 @@ fn an_agent_with_overflowing_observations_skips_only_its_own_steps() {
         for (prefix, moves) in [("weights/agent_0.", true), ("weights/agent_1.", false)] {
             assert_eq!(of(&before, prefix) != of(&after, prefix), moves, "{rule:?} {prefix}");
         }
-        assert!(finite(algorithm.as_mut()), "{rule:?}");
+        assert_finite(algorithm.as_mut(), &Report::new(), rule);
     }
 }
 
@@ -244,7 +210,7 @@ fn extreme_ratios_and_factors_are_clamped_and_counted() {
             let held = [0, 1].map(|agent| named(&report, &format!("agent{agent}/factor_held")));
             assert!(held[0].max(held[1]) > 0.1, "{held:?}");
         }
-        assert!(finite(algorithm.as_mut()), "{rule:?}");
+        assert_finite(algorithm.as_mut(), &Report::new(), &rule);
     }
 }
 
@@ -275,7 +241,7 @@ fn a_collapsing_sigma_stops_at_its_floor_is_counted_and_can_grow_again() {
         }
         let report = second.update(&batch, &plain(&batch), 10).unwrap();
         assert_eq!(named(&report, "agent0/sigma_floored"), 0.0, "{rule:?}");
-        assert!(finite(second.as_mut()), "{rule:?}");
+        assert_finite(second.as_mut(), &Report::new(), &rule);
     }
 }
 
@@ -289,14 +255,19 @@ fn maddpg() -> (Box<dyn Algorithm>, Batch) {
 }
 
 #[test]
-fn maddpg_rejects_nan_rewards_and_is_unchanged() {
-    let (mut algorithm, batch) = maddpg();
-    let before = algorithm.arrays().unwrap();
-    let mut rewards = plain(&batch);
-    rewards[1][3] = f32::NAN;
-    let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
-    assert_eq!(error, "batch.rewards[1][3] is NaN");
-    assert_eq!(algorithm.arrays().unwrap(), before);
+fn nan_is_rejected_by_name_and_nothing_changes() {
+    let on_policy = (algorithm(&config(RULES[0])), sample::batch());
+    for ((mut algorithm, mut batch), action, reward, expected) in [
+        (on_policy, f32::NAN, 0.0, "batch.agents[1].action[3] is NaN"),
+        (maddpg(), 0.0, f32::NAN, "batch.rewards[1][3] is NaN"),
+    ] {
+        let before = algorithm.arrays().unwrap();
+        let mut rewards = plain(&batch);
+        (batch.agents[1].action[3], rewards[1][3]) = (action, reward);
+        let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
+        assert_eq!(error, expected);
+        assert_eq!(algorithm.arrays().unwrap(), before);
+    }
 }
 
 #[test]

@@ -1,11 +1,11 @@
 //! Games with several equilibria, of which one is best.
 
 use marl::ActionKind;
-use policy::{CoreKind, PolicySnapshot};
+use policy::PolicySnapshot;
 use rand::RngCore;
 
 use crate::harness::{TwoAgentGame, evaluate, train};
-use crate::settings::{ON_POLICY, maddpg, on_policy};
+use crate::settings::{maddpg, on_policy};
 
 const CHOICES: usize = 3;
 
@@ -54,23 +54,13 @@ fn best_choice(snapshot: &PolicySnapshot) -> f32 {
     joint.sum::<f32>() / best[0].len() as f32
 }
 
-fn solves_the_matrix_game(core: CoreKind) {
-    for variant in &ON_POLICY {
-        let [before, after] =
-            train::<Matrix>(&on_policy(variant, core), 60).map(|policies| best_choice(&policies));
-        assert!(before < 0.2, "{}: {before} before training", variant.name);
-        assert!(after > 0.9, "{}: {after}", variant.name);
+#[test]
+fn every_on_policy_rule_finds_the_best_of_three_equilibria_with_and_without_memory() {
+    for settings in on_policy() {
+        let [before, after] = train::<Matrix>(&settings, 60).map(|policies| best_choice(&policies));
+        assert!(before < 0.2, "{}: {before} before training", settings.name);
+        assert!(after > 0.9, "{}: {after}", settings.name);
     }
-}
-
-#[test]
-fn every_on_policy_rule_finds_the_best_of_three_equilibria_with_memory() {
-    solves_the_matrix_game(CoreKind::Gru);
-}
-
-#[test]
-fn every_on_policy_rule_finds_the_best_of_three_equilibria_without_memory() {
-    solves_the_matrix_game(CoreKind::Mlp);
 }
 
 /// The same for continuous actions: `1 - 4 (a - b)^2 - (a + b - 1)^2`. The best reward is 1, at `a = b = 1/2`; two

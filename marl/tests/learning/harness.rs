@@ -167,7 +167,7 @@ pub(crate) fn evaluate<W: TwoAgentGame>(
 
 /// The policies before the first iteration and after the last one.
 pub(crate) fn train<W: TwoAgentGame>(settings: &Settings, iterations: u64) -> [PolicySnapshot; 2] {
-    let Settings { config, policy } = settings;
+    let Settings { config, policy, .. } = settings;
     config.validate().unwrap();
     let problem = problem::<W>();
     let mut surprise = Surprise::new(&config.surprise, &problem, SEED).unwrap();

@@ -1,63 +1,36 @@
 //! The learning rules under test, and sizes with which a small task is learnt in a second.
 
 use marl::config::{Rule, Sharing};
-use marl::{CriticConfig, InfluenceConfig, MaddpgConfig, TrainingConfig, UpdateConfig};
+use marl::{TrainingConfig, CriticConfig, InfluenceConfig, MaddpgConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
 
 use crate::fixture;
 
-/// Settings that distinguish the on-policy rules.
-pub(crate) struct RuleVariant {
-    pub(crate) name: &'static str,
-    rule: Rule,
-    parameters: Sharing,
-    /// Weights of the entropy bonus, of surprise and of influence.
-    weights: (f64, f64, f64),
-}
-
-/// The weights of `configs/algorithms`.
-pub(crate) const ON_POLICY: [RuleVariant; 4] = [
-    RuleVariant {
-        name: "HAPPO",
-        rule: Rule::Happo,
-        parameters: Sharing::Separate,
-        weights: (0.01, 0.0, 0.0),
-    },
-    RuleVariant {
-        name: "HAPPO-S2MIA",
-        rule: Rule::Happo,
-        parameters: Sharing::Separate,
-        weights: (0.0, 0.01, 0.01),
-    },
-    RuleVariant {
-        name: "MAPPO, one network",
-        rule: Rule::Mappo,
-        parameters: Sharing::Shared,
-        weights: (0.01, 0.0, 0.0),
-    },
-    RuleVariant {
-        name: "MAPPO, a network each",
-        rule: Rule::Mappo,
-        parameters: Sharing::Separate,
-        weights: (0.01, 0.0, 0.0),
-    },
-];
-
 /// Settings of a learning rule and its actors.
 pub(crate) struct Settings {
+    pub(crate) name: String,
     pub(crate) config: TrainingConfig,
     pub(crate) policy: PolicyConfig,
 }
 
-/// A variant with actors of `core`.
-pub(crate) fn on_policy(variant: &RuleVariant, core: CoreKind) -> Settings {
-    let (entropy, alpha, lambda) = variant.weights;
-    let mut config = config(variant.rule);
-    config.update.parameters = variant.parameters;
-    config.update.entropy = entropy;
-    config.surprise.alpha = alpha;
-    config.influence.lambda = lambda;
-    Settings { config, policy: policy(core) }
+/// The on-policy rules with both cores, with the weights of entropy bonus, surprise and influence of
+/// `configs/algorithms`.
+pub(crate) fn on_policy() -> Vec<Settings> {
+    let cores = [CoreKind::Gru, CoreKind::Mlp];
+    let with = |variant: (&str, Rule, Sharing, [f64; 3]), core| {
+        let (name, rule, parameters, [entropy, alpha, lambda]) = variant;
+        let mut config = config(rule);
+        (config.update.parameters, config.update.entropy) = (parameters, entropy);
+        (config.surprise.alpha, config.influence.lambda) = (alpha, lambda);
+        Settings { name: format!("{name}, {core:?}"), config, policy: policy(core) }
+    };
+    let variants = [
+        ("HAPPO", Rule::Happo, Sharing::Separate, [0.01, 0.0, 0.0]),
+        ("HAPPO-S2MIA", Rule::Happo, Sharing::Separate, [0.0, 0.01, 0.01]),
+        ("MAPPO, one network", Rule::Mappo, Sharing::Shared, [0.01, 0.0, 0.0]),
+        ("MAPPO, a network each", Rule::Mappo, Sharing::Separate, [0.01, 0.0, 0.0]),
+    ];
+    variants.into_iter().flat_map(|variant| cores.map(|core| with(variant, core))).collect()
 }
 
 /// MADDPG, whose actors have no memory.
@@ -66,7 +39,7 @@ pub(crate) fn maddpg() -> Settings {
     config.critic.layers = 2;
     config.critic.learning_rate = 2e-3;
     config.update.learning_rate = 1e-3;
-    Settings { config, policy: policy(CoreKind::Mlp) }
+    Settings { name: "MADDPG".to_owned(), config, policy: policy(CoreKind::Mlp) }
 }
 
 fn policy(core: CoreKind) -> PolicyConfig {

@@ -3,7 +3,7 @@
 use marl::critic::value_loss;
 use marl::critic::value_normalizer::ValueNormalizer;
 use marl::distribution::HeadRows;
-use marl::objective::actor_loss::{Coefficients, Figures, Rows, actor_loss};
+use marl::objective::actor_loss::{Coefficients, Rows, actor_loss};
 use marl::objective::advantage::{Horizon, advantage, next_values};
 use marl::objective::surrogate::normalized_advantage;
 use marl::{Batch, Final};
@@ -14,30 +14,22 @@ fn gaussian() -> Reference {
     Reference::of(include_bytes!("gaussian_loss.safetensors"))
 }
 
-fn values() -> Reference {
-    Reference::of(include_bytes!("values.safetensors"))
-}
-
-fn coefficients(reference: &Reference) -> Coefficients {
-    Coefficients {
-        clip: reference.setting("update.clip"),
-        entropy: reference.setting("update.entropy"),
-        lambda: reference.setting("influence.lambda"),
-        kappa: reference.setting("influence.kappa"),
-    }
-}
-
-fn rows(reference: &Reference, posterior: HeadRows) -> Rows {
-    Rows {
+/// Compares the actor's loss of the policy `p` and the posterior `q`; returns its gradient.
+fn agreeing_loss(reference: &Reference, p: &HeadRows, q: HeadRows) -> HeadRows {
+    let rows = Rows {
         action: reference.numbers("input/action"),
         log_prob_old: reference.numbers("input/log_prob_old"),
         advantage: reference.numbers("input/advantage"),
         factor: reference.numbers("input/factor"),
-        posterior: Some(posterior),
-    }
-}
-
-fn figures_agree(reference: &Reference, figures: &Figures) {
+        posterior: Some(q),
+    };
+    let coefficients = Coefficients {
+        clip: reference.setting("update.clip"),
+        entropy: reference.setting("update.entropy"),
+        lambda: reference.setting("influence.lambda"),
+        kappa: reference.setting("influence.kappa"),
+    };
+    let (figures, gradient) = actor_loss(p, &rows, p.count(), &coefficients);
     for (name, found) in [
         ("loss", figures.loss),
         ("policy_loss", figures.policy_loss),
@@ -48,19 +40,16 @@ fn figures_agree(reference: &Reference, figures: &Figures) {
     ] {
         reference.expects(name, &[found]);
     }
+    gradient
 }
 
 #[test]
 fn the_actors_loss_and_its_gradient_agree_with_pytorch() {
     let reference = gaussian();
     let of = |name: &str| reference.numbers(&format!("input/{name}"));
-    let (p, q) = (
-        HeadRows::gaussian(of("mean"), of("sigma")),
-        HeadRows::gaussian(of("q_mean"), of("q_sigma")),
-    );
-    let (figures, gradient) =
-        actor_loss(&p, &rows(&reference, q), p.count(), &coefficients(&reference));
-    figures_agree(&reference, &figures);
+    let p = HeadRows::gaussian(of("mean"), of("sigma"));
+    let q = HeadRows::gaussian(of("q_mean"), of("q_sigma"));
+    let gradient = agreeing_loss(&reference, &p, q);
     reference.expects("d_mean", &gradient.outputs);
     reference.expects("d_sigma", &gradient.sigma);
 }
@@ -69,10 +58,7 @@ fn the_actors_loss_and_its_gradient_agree_with_pytorch() {
 fn the_actors_loss_for_choices_and_its_gradient_agree_with_pytorch() {
     let reference = Reference::of(include_bytes!("categorical_loss.safetensors"));
     let of = |name: &str| HeadRows::categorical(reference.numbers(name), 4);
-    let (p, q) = (of("input/logits"), of("input/q_logits"));
-    let (figures, gradient) =
-        actor_loss(&p, &rows(&reference, q), p.count(), &coefficients(&reference));
-    figures_agree(&reference, &figures);
+    let gradient = agreeing_loss(&reference, &of("input/logits"), of("input/q_logits"));
     reference.expects("d_logits", &gradient.outputs);
 }
 
@@ -94,7 +80,7 @@ fn the_posteriors_loss_and_its_gradient_agree_with_pytorch() {
 
 #[test]
 fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
-    let reference = values();
+    let reference = Reference::of(include_bytes!("values.safetensors"));
     let (clip, delta) = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
     let (old, target) = (reference.numbers("input/old"), reference.numbers("input/target"));
     let value = reference.numbers("input/value");
@@ -107,7 +93,7 @@ fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
 
 #[test]
 fn advantages_with_every_kind_of_end_and_the_normaliser_agree_with_pytorch() {
-    let reference = values();
+    let reference = Reference::of(include_bytes!("values.safetensors"));
     let shape = reference.array("input/values").shape();
     let mut batch = Batch { steps: shape[0], environments: shape[1], ..Batch::default() };
     batch.terminated = reference.flags("input/terminated");

@@ -1,7 +1,5 @@
 //! Whole updates from PyTorch's initial weights to its final ones, with optimisers, normalisers and metrics.
 
-use std::collections::BTreeSet;
-
 use marl::config::{CriticCore, Rule, Sharing};
 use marl::{Algorithm, Report, build};
 use policy::{Array, CoreKind, NamedArrays, RunSeed};
@@ -14,9 +12,10 @@ const SWEEPING: RunSeed = RunSeed(0);
 /// With this seed the replay first samples the rows of the references.
 const DRAWING: RunSeed = RunSeed(1);
 
-/// A rule and its parameters.
+/// A file of PyTorch's results, and the settings with which it was made.
 #[derive(Clone, Copy)]
 struct Case {
+    name: &'static str,
     file: &'static [u8],
     core: CoreKind,
     critic: CriticCore,
@@ -25,31 +24,42 @@ struct Case {
 }
 
 const HAPPO_GRU: Case = Case {
+    name: "HAPPO with a recurrent core",
     file: include_bytes!("happo_gru.safetensors"),
     core: CoreKind::Gru,
     critic: CriticCore::Mlp,
     rule: (Rule::Happo, Sharing::Separate),
     seed: SWEEPING,
 };
-const HAPPO_GRU_CRITIC: Case = Case {
-    file: include_bytes!("happo_gru_critic.safetensors"),
-    critic: CriticCore::Gru,
-    ..HAPPO_GRU
-};
-const HAPPO_MLP: Case =
-    Case { file: include_bytes!("happo_mlp.safetensors"), core: CoreKind::Mlp, ..HAPPO_GRU };
-const MAPPO: Case = Case {
-    file: include_bytes!("mappo_shared.safetensors"),
-    rule: (Rule::Mappo, Sharing::Shared),
-    ..HAPPO_GRU
-};
-const MADDPG: Case = Case {
-    file: include_bytes!("maddpg.safetensors"),
-    core: CoreKind::Mlp,
-    critic: CriticCore::Mlp,
-    rule: (Rule::Maddpg, Sharing::Separate),
-    seed: DRAWING,
-};
+const CASES: [Case; 5] = [
+    HAPPO_GRU,
+    Case {
+        name: "HAPPO with a recurrent critic",
+        file: include_bytes!("happo_gru_critic.safetensors"),
+        critic: CriticCore::Gru,
+        ..HAPPO_GRU
+    },
+    Case {
+        name: "HAPPO with a feed-forward core",
+        file: include_bytes!("happo_mlp.safetensors"),
+        core: CoreKind::Mlp,
+        ..HAPPO_GRU
+    },
+    Case {
+        name: "MAPPO with shared parameters",
+        file: include_bytes!("mappo_shared.safetensors"),
+        rule: (Rule::Mappo, Sharing::Shared),
+        ..HAPPO_GRU
+    },
+    Case {
+        name: "a step of MADDPG",
+        file: include_bytes!("maddpg.safetensors"),
+        core: CoreKind::Mlp,
+        rule: (Rule::Maddpg, Sharing::Separate),
+        seed: DRAWING,
+        ..HAPPO_GRU
+    },
+];
 
 /// The file's initial arrays in the algorithm's types. Arrays that the file does not contain are the algorithm's.
 fn start(reference: &Reference, algorithm: &mut dyn Algorithm) -> NamedArrays {
@@ -93,69 +103,35 @@ const WEIGHTS: f64 = 1e-4;
 /// Relative to an array's largest element, for moments, memories and figures. The largest error found is 1.6e-5.
 const OTHERS: f64 = 5e-5;
 
-fn agrees_with_pytorch(case: Case) {
-    let reference = Reference::of(case.file);
-    let (arrays, report) = updated(&reference, case);
-    for (name, expected) in reference.under("expected/") {
-        let (found, expected) = match name.strip_prefix("report/") {
-            None => (numbers(&arrays[name]), numbers(expected)),
-            Some(figure) => {
-                let found = report.iter().find(|(own, _)| own == figure).unwrap().1;
-                (vec![found], numbers(expected))
-            }
-        };
-        if name.starts_with("weights/") {
-            let start = reference.numbers(&format!("start/{name}"));
-            let change = |to: Vec<f64>| -> Vec<f64> {
-                to.iter().zip(&start).map(|(after, before)| after - before).collect()
-            };
-            agree(name, &change(found), &change(expected), WEIGHTS);
-        } else {
-            agree(name, &found, &expected, OTHERS);
-        }
-    }
-}
-
 #[test]
-fn happo_with_a_recurrent_core_agrees_with_pytorch() {
-    agrees_with_pytorch(HAPPO_GRU);
-}
-
-#[test]
-fn happo_with_a_recurrent_critic_agrees_with_pytorch() {
-    agrees_with_pytorch(HAPPO_GRU_CRITIC);
-}
-
-#[test]
-fn happo_with_a_feed_forward_core_agrees_with_pytorch() {
-    agrees_with_pytorch(HAPPO_MLP);
-}
-
-#[test]
-fn mappo_with_shared_parameters_agrees_with_pytorch() {
-    agrees_with_pytorch(MAPPO);
-}
-
-#[test]
-fn a_step_of_maddpg_agrees_with_pytorch() {
-    agrees_with_pytorch(MADDPG);
-}
-
-#[test]
-fn the_references_contain_every_array_of_a_run() {
-    for case in [HAPPO_GRU, HAPPO_GRU_CRITIC, HAPPO_MLP, MAPPO, MADDPG] {
+fn whole_updates_agree_with_pytorch_in_every_array() {
+    for case in CASES {
         let reference = Reference::of(case.file);
-        let named: BTreeSet<&str> =
-            reference.under("expected/").into_iter().map(|(name, _)| name).collect();
-        let (arrays, _) = updated(&reference, case);
+        let (arrays, report) = updated(&reference, case);
+        let expected = reference.under("expected/");
+        for (name, expected) in &expected {
+            let (label, expected) = (format!("{}: {name}", case.name), numbers(expected));
+            if let Some(figure) = name.strip_prefix("report/") {
+                let found = report.iter().find(|(own, _)| own == figure).unwrap().1;
+                agree(&label, &[found], &expected, OTHERS);
+            } else if name.starts_with("weights/") {
+                let start = reference.numbers(&format!("start/{name}"));
+                let change = |to: &[f64]| -> Vec<f64> {
+                    to.iter().zip(&start).map(|(after, before)| after - before).collect()
+                };
+                agree(&label, &change(&numbers(&arrays[*name])), &change(&expected), WEIGHTS);
+            } else {
+                agree(&label, &numbers(&arrays[*name]), &expected, OTHERS);
+            }
+        }
         // Skipped steps are no result, the replay is tested by the update that uses it, and no learning rate is
         // adapted.
-        let kept = ["skipped", "adapted"];
-        let result = |name: &&String| {
-            !name.starts_with("replay/") && !kept.iter().any(|end| name.ends_with(end))
+        let is_result = |name: &str| {
+            !name.starts_with("replay/") && !name.ends_with("skipped") && !name.ends_with("adapted")
         };
-        for name in arrays.keys().filter(result) {
-            assert!(named.contains(name.as_str()), "the reference has no {name}");
+        for name in arrays.keys().filter(|name| is_result(name)) {
+            let known = expected.iter().any(|(own, _)| own == name);
+            assert!(known, "{}: the reference has no {name}", case.name);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Fused networks against their references in double precision, and these against finite differences.
+//! Fused networks against their references in double precision.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod plain;
@@ -140,23 +140,6 @@ fn the_states_after_every_row_are_those_of_the_twin_and_come_with_the_output_of_
 }
 
 #[test]
-fn gradients_of_the_twins_meet_finite_differences() {
-    for (specs, inputs) in networks() {
-        let (at, x) = (twin_parameters(&specs), normal(2, &[ROWS, inputs]));
-        let direction = normal(7, at.dims());
-        let value = |parameters: &Tensor| scalar(twin(&specs, &x, parameters).last().unwrap());
-        let moved = |step: f64| {
-            let parameters = (at.as_tensor() + (&direction * step).unwrap()).unwrap();
-            value(&parameters).to_scalar::<f64>().unwrap()
-        };
-        let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-        let found = Backward::from(&value(&at)).unwrap().by(&at).unwrap().unwrap();
-        let expected = (found * &direction).unwrap().sum_all().unwrap().to_scalar::<f64>().unwrap();
-        assert!((slope - expected).abs() < 1e-5 * expected.abs().max(1.0), "{slope} {expected}");
-    }
-}
-
-#[test]
 fn constant_weights_give_the_same_gradient_by_the_input_and_none_by_the_parameters() {
     let (specs, inputs) = networks().remove(0);
     let (parameters, stack) = stack(&specs);
@@ -190,17 +173,6 @@ fn a_network_that_is_used_twice_has_the_sum_of_both_gradients() {
     let apart = (by(sum_of(1)) + by(sum_of(2))).unwrap();
     let together = by((sum_of(1) + sum_of(2)).unwrap());
     assert!(largest(&(&together - &apart).unwrap()) < 1e-5 * largest(&apart));
-}
-
-#[test]
-fn features_and_output_are_those_of_the_differentiable_pass() {
-    let (specs, inputs) = networks().remove(1);
-    let (_, stack) = stack(&specs);
-    let (x, weights) = (single(normal(2, &[ROWS, inputs])), stack.weights().unwrap());
-    let (features, output) = weights.features_and_output(&x, None).unwrap();
-    let numbers = |tensor: &Tensor| tensor.to_vec2::<f32>().unwrap();
-    assert_eq!(numbers(&output), numbers(&weights.apply(&x, None).unwrap()));
-    assert_eq!((features.dims(), output.dims()), (&[ROWS, 16][..], &[ROWS, 3][..]));
 }
 
 #[test]

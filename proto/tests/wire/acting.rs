@@ -1,11 +1,12 @@
 //! Requests to trained policies and their answers survive the round trip, and an invalid step is rejected by name.
 
+use proto::Reason::{BadShape, BadValue, MissingField, NotFinite};
 use proto::{
     ActStep, Acted, ActionChoice, ActionDistribution, Digest, PolicyAgent, PolicyDescription,
-    PolicyVersion, Reason, WeightsName, wire,
+    PolicyVersion, WeightsName, wire,
 };
 
-use crate::sample;
+use crate::{assert_refused, sample};
 
 /// Observation and action sizes of the sample run's agents.
 const OBSERVATIONS: [usize; 2] = [3, 2];
@@ -47,40 +48,31 @@ fn descriptions_beginnings_steps_and_answers_survive_the_round_trip() {
     assert_eq!(Acted::from_wire(acted.to_wire(), &ACTIONS), Ok(acted));
 }
 
-/// Reason and field of the refusal of a step with these observations.
-fn refused(observations: Vec<(usize, Vec<f32>)>) -> (Reason, String) {
-    let wire = ActStep { reset: false, observations }.to_wire();
-    let refusal = ActStep::from_wire(&wire, &OBSERVATIONS).unwrap_err();
-    (refusal.reason, refusal.field)
-}
-
 #[test]
 fn a_step_that_does_not_fit_the_team_is_refused_by_field() {
-    let at = |field: &str| format!("step.observations{field}");
     for (observations, reason, field) in [
-        (vec![], Reason::MissingField, ""),
-        (vec![(2, vec![0.0; 2])], Reason::BadValue, "[0].agent"),
-        (vec![(1, vec![0.0; 2]), (1, vec![0.0; 2])], Reason::BadValue, "[1].agent"),
-        (vec![(0, vec![0.0; 2])], Reason::BadShape, "[0].observation"),
-        (vec![(1, vec![0.0; 2]), (0, vec![0.0; 4])], Reason::BadShape, "[1].observation"),
-        (vec![(1, vec![0.0, f32::NAN])], Reason::NotFinite, "[0].observation"),
-        (vec![(1, vec![f32::INFINITY, 0.0])], Reason::NotFinite, "[0].observation"),
+        (vec![], MissingField, ""),
+        (vec![(2, vec![0.0; 2])], BadValue, "[0].agent"),
+        (vec![(1, vec![0.0; 2]), (1, vec![0.0; 2])], BadValue, "[1].agent"),
+        (vec![(0, vec![0.0; 2])], BadShape, "[0].observation"),
+        (vec![(1, vec![0.0; 2]), (0, vec![0.0; 4])], BadShape, "[1].observation"),
+        (vec![(1, vec![0.0, f32::NAN])], NotFinite, "[0].observation"),
+        (vec![(1, vec![f32::INFINITY, 0.0])], NotFinite, "[0].observation"),
     ] {
-        assert_eq!(refused(observations), (reason, at(field)));
+        let step = ActStep { reset: false, observations }.to_wire();
+        let read = ActStep::from_wire(&step, &OBSERVATIONS);
+        assert_refused(read, reason, &format!("step.observations{field}"));
     }
 }
 
 #[test]
 fn a_stream_begins_once_and_with_its_beginning() {
-    let (start, step) = (ActionChoice::Mean.to_wire(), step().to_wire());
-    let begun = ActionChoice::from_wire(step).unwrap_err();
-    assert_eq!((begun.reason, begun.field.as_str()), (Reason::MissingField, "start"));
-    let again = ActStep::from_wire(&start, &OBSERVATIONS).unwrap_err();
-    assert_eq!((again.reason, again.field.as_str()), (Reason::BadValue, "start"));
+    assert_refused(ActionChoice::from_wire(step().to_wire()), MissingField, "start");
+    let start = ActionChoice::Mean.to_wire();
+    assert_refused(ActStep::from_wire(&start, &OBSERVATIONS), BadValue, "start");
     let undecided = wire::act_request::Content::Start(wire::ActStart { choice: None });
     let undecided = wire::ActRequest { content: Some(undecided) };
-    let undecided = ActionChoice::from_wire(undecided).unwrap_err();
-    assert_eq!(undecided.field, "start.choice");
-    let nothing = ActStep::from_wire(&wire::ActRequest { content: None }, &OBSERVATIONS);
-    assert_eq!(nothing.unwrap_err().field, "content");
+    assert_refused(ActionChoice::from_wire(undecided), MissingField, "start.choice");
+    let nothing = wire::ActRequest { content: None };
+    assert_refused(ActStep::from_wire(&nothing, &OBSERVATIONS), MissingField, "content");
 }

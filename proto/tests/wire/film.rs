@@ -1,13 +1,18 @@
 //! Films of episodes survive the round trip, and invalid ones are rejected.
 
+use proto::Reason::{BadShape, BadValue, NotFinite};
 use proto::{Film, MAX_FRAMES, Reason, wire};
 
-use crate::sample;
+use crate::{assert_refused, sample};
 
 /// Two frames of a ball and of a leg that agent 1 controls.
 fn film() -> Film {
     let ends = (0..2 * 2 * 6).map(|i| i as f32 * 0.125).collect();
     Film { frame_secs: 0.05, radii: vec![0.1, 0.05], drivers: vec![None, Some(1)], ends }
+}
+
+fn with_ends(ends: Vec<f32>) -> wire::Film {
+    Film { ends, ..film() }.to_wire()
 }
 
 #[test]
@@ -17,35 +22,24 @@ fn a_film_survives_the_wire() {
 
 #[test]
 fn a_film_that_is_too_long_or_has_no_form_is_refused_by_name() {
-    let verdict = |change: &dyn Fn(&mut wire::Film)| {
-        let mut wire = film().to_wire();
-        change(&mut wire);
-        let refusal = Film::from_wire(&wire, &sample::run()).unwrap_err();
-        (refusal.reason, refusal.field)
-    };
-    let long = Film { ends: vec![0.0; (MAX_FRAMES + 1) * 12], ..film() }.to_wire();
-    assert_eq!(
-        verdict(&|wire| *wire = long.clone()),
-        (Reason::BadValue, "film.ends.shape".to_owned())
-    );
-    assert_eq!(verdict(&|wire| wire.ends = None), (Reason::BadValue, "film.ends.shape".to_owned()));
-    assert_eq!(verdict(&|wire| wire.radii.clear()), (Reason::BadValue, "film.radii".to_owned()));
-    assert_eq!(verdict(&|wire| wire.radii[0] = -1.0), (Reason::BadValue, "film.radii".to_owned()));
-    let other = (Reason::BadShape, "film.drivers".to_owned());
-    assert_eq!(verdict(&|wire| wire.drivers.truncate(1)), other);
-    let unknown = (Reason::BadValue, "film.drivers".to_owned());
-    assert_eq!(verdict(&|wire| wire.drivers[0] = 99), unknown);
-    let slow = (Reason::BadValue, "film.frame_secs".to_owned());
-    assert_eq!(verdict(&|wire| wire.frame_secs = f64::NAN), slow);
-    assert_eq!(verdict(&|wire| wire.frame_secs = 0.0), slow);
-    let far = Film { ends: vec![1e6; 24], ..film() }.to_wire();
-    let ends = (Reason::BadValue, "film.ends".to_owned());
-    assert_eq!(verdict(&|wire| *wire = far.clone()), ends);
-    let mut broken = film();
-    broken.ends[7] = f32::INFINITY;
-    let broken = broken.to_wire();
-    assert_eq!(
-        verdict(&|wire| *wire = broken.clone()),
-        (Reason::NotFinite, "film.ends".to_owned())
-    );
+    type Change = fn(&mut wire::Film);
+    let changes: [(Reason, &str, Change); 10] = [
+        (BadValue, "ends.shape", |film| *film = with_ends(vec![0.0; (MAX_FRAMES + 1) * 12])),
+        (BadValue, "ends.shape", |film| film.ends = None),
+        (BadValue, "radii", |film| film.radii.clear()),
+        (BadValue, "radii", |film| film.radii[0] = -1.0),
+        (BadShape, "drivers", |film| film.drivers.truncate(1)),
+        (BadValue, "drivers", |film| film.drivers[0] = 99),
+        (BadValue, "frame_secs", |film| film.frame_secs = f64::NAN),
+        (BadValue, "frame_secs", |film| film.frame_secs = 0.0),
+        (BadValue, "ends", |film| *film = with_ends(vec![1e6; 24])),
+        (NotFinite, "ends", |film| {
+            *film = with_ends([vec![0.0; 23], vec![f32::INFINITY]].concat())
+        }),
+    ];
+    for (reason, field, change) in changes {
+        let mut film = film().to_wire();
+        change(&mut film);
+        assert_refused(Film::from_wire(&film, &sample::run()), reason, &format!("film.{field}"));
+    }
 }

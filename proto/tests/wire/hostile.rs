@@ -2,74 +2,64 @@
 
 use bytes::Bytes;
 use prost::Message;
+use proto::Reason::{BadShape, BadValue, MissingField};
 use proto::{
-    Digest, LeaseAnswer, MAX_MESSAGE_BYTES, Reason, Refusal, RunDescription, TrajectoryChunk, wire,
+    Digest, LeaseAnswer, MAX_MESSAGE_BYTES, Refusal, RunDescription, TrajectoryChunk, wire,
 };
 
-use crate::sample;
+use crate::{assert_refused, received, sample};
 
-fn with_state(tensor: wire::Tensor) -> Refusal {
+fn with_state(shape: &[u32], data: Bytes) -> Result<TrajectoryChunk, Refusal> {
     let (mut message, digest) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());
-    message.state = Some(tensor);
-    TrajectoryChunk::from_wire(&message, &sample::run(), &sample::origin(), digest).unwrap_err()
-}
-
-fn floats(shape: &[u32], data: Bytes) -> wire::Tensor {
-    wire::Tensor { data_type: wire::DataType::F32.into(), shape: shape.to_vec(), data }
+    let data_type = wire::DataType::F32.into();
+    message.state = Some(wire::Tensor { data_type, shape: shape.to_vec(), data });
+    received(&message, &sample::run(), digest)
 }
 
 #[test]
 fn shapes_whose_product_overflows_are_refused_without_an_allocation() {
     for shape in [&[u32::MAX; 2][..], &[u32::MAX; 3], &[u32::MAX; 1000], &[1 << 31, 1 << 31, 0]] {
-        let refusal = with_state(floats(shape, Bytes::new()));
-        assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::BadShape, "chunk.state"));
+        assert_refused(with_state(shape, Bytes::new()), BadShape, "chunk.state");
     }
 }
 
 #[test]
 fn four_mebibytes_in_one_tensor_are_refused_by_their_shape() {
-    let data = Bytes::from(vec![0; MAX_MESSAGE_BYTES]);
-    let refusal = with_state(floats(&[1 << 20], data));
-    assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::BadShape, "chunk.state"));
+    let refusal = with_state(&[1 << 20], vec![0; MAX_MESSAGE_BYTES].into()).unwrap_err();
     assert!(refusal.detail.contains("[1048576], expected [2, 2, 4]"), "{refusal}");
+    assert_refused(Err::<(), _>(refusal), BadShape, "chunk.state");
 }
 
 #[test]
 fn an_empty_message_is_refused_by_its_first_missing_part() {
-    let (run, digest) = (sample::run(), Digest([0; 32]));
-    let refusal = TrajectoryChunk::from_wire(
-        &wire::TrajectoryChunk::default(),
-        &run,
-        &sample::origin(),
-        digest,
-    );
-    assert_eq!(refusal.unwrap_err().field, "chunk.steps");
+    let (run, nothing) = (sample::run(), wire::TrajectoryChunk::default());
+    assert_refused(received(&nothing, &run, Digest([0; 32])), BadValue, "chunk.steps");
     let lease = LeaseAnswer::from_wire(wire::LeaseSlotsResponse::default(), &run);
-    assert_eq!(lease.unwrap_err().field, "answer");
-    assert_eq!(RunDescription::from_wire(None).unwrap_err().field, "run");
+    assert_refused(lease, MissingField, "answer");
+    assert_refused(RunDescription::from_wire(None), MissingField, "run");
 }
 
 #[test]
 fn a_run_whose_messages_could_not_be_sent_is_refused_by_name() {
-    let refused = |change: fn(&mut RunDescription)| {
+    type Change = fn(&mut RunDescription);
+    let changes: [(&str, Change); 11] = [
+        ("chunk_steps", |run| run.chunk_steps = 0),
+        ("chunk_steps", |run| run.slot_steps = 5),
+        ("hidden_every", |run| run.hidden_every = 3),
+        ("environments_per_slot", |run| run.environments_per_slot = 0),
+        ("chunk_steps", |run| run.environments_per_slot = u32::MAX),
+        ("chunk_steps", |run| run.environment.agents[0].action.size = u32::MAX as usize),
+        ("hidden_sizes", |run| run.hidden_sizes.clear()),
+        ("heartbeat_secs", |run| run.heartbeat_secs = f64::NAN),
+        ("heartbeat_secs", |run| run.heartbeat_secs = 1e300),
+        ("heartbeat_secs", |run| run.heartbeat_secs = 1e-300),
+        ("environment.dt_secs", |run| run.environment.dt_secs = 0.0),
+    ];
+    for (field, change) in changes {
         let mut run = sample::run();
         change(&mut run);
-        run.validate().unwrap_err().field
-    };
-    assert_eq!(refused(|run| run.chunk_steps = 0), "run.chunk_steps");
-    assert_eq!(refused(|run| run.slot_steps = 5), "run.chunk_steps");
-    assert_eq!(refused(|run| run.hidden_every = 3), "run.hidden_every");
-    assert_eq!(refused(|run| run.environments_per_slot = 0), "run.environments_per_slot");
-    assert_eq!(refused(|run| run.environments_per_slot = u32::MAX), "run.chunk_steps");
-    assert_eq!(
-        refused(|run| run.environment.agents[0].action.size = u32::MAX as usize),
-        "run.chunk_steps"
-    );
-    assert_eq!(refused(|run| run.hidden_sizes.clear()), "run.hidden_sizes");
-    assert_eq!(refused(|run| run.heartbeat_secs = f64::NAN), "run.heartbeat_secs");
-    assert_eq!(refused(|run| run.heartbeat_secs = 1e300), "run.heartbeat_secs");
-    assert_eq!(refused(|run| run.heartbeat_secs = 1e-300), "run.heartbeat_secs");
-    assert_eq!(refused(|run| run.environment.dt_secs = 0.0), "run.environment.dt_secs");
+        assert_eq!(run.validate().unwrap_err().field, format!("run.{field}"));
+    }
 }
 
 #[test]
@@ -83,7 +73,7 @@ fn a_flipped_bit_is_refused_or_changes_no_value() {
         let Ok(message) = wire::TrajectoryChunk::decode(bytes.as_slice()) else {
             continue;
         };
-        if let Ok(chunk) = TrajectoryChunk::from_wire(&message, &run, &sample::origin(), digest) {
+        if let Ok(chunk) = received(&message, &run, digest) {
             assert_eq!(chunk, sample::chunk(1), "bit {bit}");
         }
     }

@@ -1,9 +1,9 @@
 //! Observations that are copies are left out of the message, and the learner restores every bit of them.
 
-use prost::Message;
-use proto::{FeatureRole, FeatureSpec, Reason, Refusal, RunDescription, TrajectoryChunk, wire};
+use proto::Reason::{BadShape, BadType, BadValue, DigestMismatch, MissingField};
+use proto::{FeatureRole, FeatureSpec, Reason, RunDescription, TrajectoryChunk, wire};
 
-use crate::sample;
+use crate::{assert_refused, received, sample};
 
 /// The sample run, in which both agents observe features 2 and 0 of the state, their identity and padding.
 fn run() -> RunDescription {
@@ -40,6 +40,14 @@ fn chunk(sequence: u32, scale: f32, [on, off]: [f32; 2]) -> TrajectoryChunk {
     chunk
 }
 
+fn scaled() -> TrajectoryChunk {
+    chunk(0, 0.7, [0.6, -0.2])
+}
+
+fn finals(message: &mut wire::TrajectoryChunk) -> &mut wire::FinalSteps {
+    message.finals.as_mut().unwrap()
+}
+
 /// Which observations the message has: of each agent in the rows, then in the final steps.
 fn sent(message: &wire::TrajectoryChunk) -> [bool; 4] {
     let rows = message.agents.iter().map(|agent| agent.observation.as_ref());
@@ -52,10 +60,7 @@ fn sent(message: &wire::TrajectoryChunk) -> [bool; 4] {
 fn assert_arrives(chunk: &TrajectoryChunk, run: &RunDescription) -> [bool; 4] {
     let (message, digest) = chunk.to_wire(run, &sample::origin());
     assert_eq!(digest, chunk.digest(&sample::origin()), "it covers all observations");
-    let bytes = message.encode_to_vec();
-    let received = wire::TrajectoryChunk::decode(bytes.as_slice()).unwrap();
-    let found = TrajectoryChunk::from_wire(&received, run, &sample::origin(), digest);
-    assert_eq!(found.as_ref(), Ok(chunk));
+    assert_eq!(received(&message, run, digest).as_ref(), Ok(chunk));
     sent(&message)
 }
 
@@ -64,12 +69,8 @@ fn copies_of_the_global_state_are_left_out_and_restored() {
     for sequence in [0, 1] {
         assert_eq!(assert_arrives(&chunk(sequence, 1.0, [1.0, 0.0]), &run()), [false; 4]);
     }
-}
-
-#[test]
-fn of_scaled_observations_only_the_first_agents_are_sent() {
-    let scaled = chunk(0, 0.7, [0.6, -0.2]);
-    assert_eq!(assert_arrives(&scaled, &run()), [true, false, true, false]);
+    // Of scaled observations only the first agent's are sent.
+    assert_eq!(assert_arrives(&scaled(), &run()), [true, false, true, false]);
 }
 
 #[test]
@@ -88,22 +89,14 @@ fn a_learner_that_restores_nothing_gets_every_observation_and_one_that_restores_
     let other = RunDescription { restores_observations: false, ..restoring.clone() };
     assert_eq!(assert_arrives(&whole, &other), [true; 4]);
     let (message, digest) = whole.to_wire(&other, &sample::origin());
-    let found = TrajectoryChunk::from_wire(&message, &restoring, &sample::origin(), digest);
-    assert_eq!(found, Ok(whole));
-}
-
-/// How a message of `chunk` is refused after a change.
-fn refused(chunk: &TrajectoryChunk, change: impl FnOnce(&mut wire::TrajectoryChunk)) -> Refusal {
-    let (mut message, digest) = chunk.to_wire(&run(), &sample::origin());
-    change(&mut message);
-    TrajectoryChunk::from_wire(&message, &run(), &sample::origin(), digest).unwrap_err()
+    assert_eq!(received(&message, &restoring, digest), Ok(whole));
 }
 
 #[test]
 fn an_observation_that_is_no_copy_cannot_be_left_out() {
-    let chunk = chunk(0, 0.7, [0.6, -0.2]);
-    let refusal = refused(&chunk, |message| message.agents[0].observation = None);
-    assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::DigestMismatch, "digest"));
+    let (mut message, digest) = scaled().to_wire(&run(), &sample::origin());
+    message.agents[0].observation = None;
+    assert_refused(received(&message, &run(), digest), DigestMismatch, "digest");
     let changes: [fn(&mut RunDescription); 3] = [
         |run| run.environment.agents[0].seen.clear(),
         |run| run.environment.agents[0].observation[4].role = FeatureRole::Signal,
@@ -114,45 +107,36 @@ fn an_observation_that_is_no_copy_cannot_be_left_out() {
         change(&mut run);
         let (mut message, digest) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());
         message.agents[0].observation = None;
-        let refusal = TrajectoryChunk::from_wire(&message, &run, &sample::origin(), digest);
-        let refusal = refusal.unwrap_err();
-        let found = (refusal.reason, refusal.field.as_str());
-        assert_eq!(found, (Reason::MissingField, "chunk.agents[0].observation"), "{refusal}");
+        let result = received(&message, &run, digest);
+        assert_refused(result, MissingField, "chunk.agents[0].observation");
     }
 }
 
 #[test]
 fn an_observation_cannot_be_restored_from_an_invalid_tensor() {
-    let (copied, scaled) = (chunk(0, 1.0, [1.0, 0.0]), chunk(0, 0.7, [0.6, -0.2]));
-    let cases = [
-        (refused(&copied, |it| it.state = None), Reason::MissingField, "chunk.state"),
+    type Change = fn(&mut wire::TrajectoryChunk);
+    let copied = || chunk(0, 1.0, [1.0, 0.0]);
+    let cases: [(TrajectoryChunk, Change, Reason, &str); 6] = [
+        (copied(), |it| it.state = None, MissingField, "state"),
+        (copied(), |it| it.state.as_mut().unwrap().shape.swap(0, 2), BadShape, "state"),
+        (copied(), |it| finals(it).state = None, MissingField, "finals.state"),
+        (copied(), |it| finals(it).steps = vec![0; 5], BadValue, "finals.steps"),
         (
-            refused(&copied, |it| it.state.as_mut().unwrap().shape.swap(0, 2)),
-            Reason::BadShape,
-            "chunk.state",
+            scaled(),
+            |it| it.agents[0].observation = it.reward.clone(),
+            BadShape,
+            "agents[0].observation",
         ),
         (
-            refused(&copied, |it| it.finals.as_mut().unwrap().state = None),
-            Reason::MissingField,
-            "chunk.finals.state",
-        ),
-        (
-            refused(&copied, |it| it.finals.as_mut().unwrap().steps = vec![0; 5]),
-            Reason::BadValue,
-            "chunk.finals.steps",
-        ),
-        (
-            refused(&scaled, |it| it.agents[0].observation = it.reward.clone()),
-            Reason::BadShape,
-            "chunk.agents[0].observation",
-        ),
-        (
-            refused(&scaled, |it| it.finals.as_mut().unwrap().observations[0].data_type = 2),
-            Reason::BadType,
-            "chunk.finals.observations[0]",
+            scaled(),
+            |it| finals(it).observations[0].data_type = 2,
+            BadType,
+            "finals.observations[0]",
         ),
     ];
-    for (refusal, reason, field) in cases {
-        assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field), "{refusal}");
+    for (chunk, change, reason, field) in cases {
+        let (mut message, digest) = chunk.to_wire(&run(), &sample::origin());
+        change(&mut message);
+        assert_refused(received(&message, &run(), digest), reason, &format!("chunk.{field}"));
     }
 }

@@ -1,9 +1,11 @@
 //! Messages of an environment service survive the round trip, and an invalid answer is rejected by name.
 
 use bytes::Bytes;
+use proto::Reason::{BadShape, BadValue, Inconsistent, MissingField, NotFinite};
 use proto::wire::play_response::Answer;
 use proto::{EnvironmentSpec, PlayRequest, Reason, Refusal, Steps, View, saved_state, wire};
 
+use crate::assert_refused;
 use crate::sample::environment;
 
 fn view(count: usize) -> View {
@@ -48,32 +50,21 @@ fn answers_survive_the_round_trip() {
     assert_eq!(saved_state(&saved(64), &spec), Ok(vec![7; 64]));
 }
 
-fn refused(change: fn(&mut wire::EnvironmentsSteps)) -> Refusal {
-    let mut answer = steps().to_wire();
-    let Some(Answer::Steps(steps)) = &mut answer.answer else { panic!("no steps") };
-    change(steps);
-    Steps::from_wire(&answer, &environment(), 2).unwrap_err()
-}
-
 #[test]
 fn an_answer_that_does_not_fit_is_refused_by_name() {
     type Lie = (fn(&mut wire::EnvironmentsSteps), Reason, &'static str);
     let lies: [Lie; 6] = [
-        (|steps| steps.view = None, Reason::MissingField, "steps.view"),
-        (|steps| steps.reward = None, Reason::MissingField, "steps.reward"),
+        (|steps| steps.view = None, MissingField, "steps.view"),
+        (|steps| steps.reward = None, MissingField, "steps.reward"),
         (
             |steps| steps.terminated.as_mut().unwrap().data = Bytes::from_static(&[1, 2]),
-            Reason::BadValue,
+            BadValue,
             "steps.terminated",
         ),
-        (
-            |steps| steps.truncated = steps.terminated.clone(),
-            Reason::Inconsistent,
-            "steps.truncated",
-        ),
+        (|steps| steps.truncated = steps.terminated.clone(), Inconsistent, "steps.truncated"),
         (
             |steps| steps.view.as_mut().unwrap().observations.swap(0, 1),
-            Reason::BadShape,
+            BadShape,
             "steps.view.observations[0]",
         ),
         (
@@ -81,26 +72,28 @@ fn an_answer_that_does_not_fit_is_refused_by_name() {
                 let state = steps.view.as_mut().unwrap().state.as_mut().unwrap();
                 state.data = f32::INFINITY.to_le_bytes().repeat(8).into();
             },
-            Reason::NotFinite,
+            NotFinite,
             "steps.view.state",
         ),
     ];
     for (lie, reason, field) in lies {
-        let refusal = refused(lie);
-        assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field), "{refusal}");
+        let mut answer = steps().to_wire();
+        let Some(Answer::Steps(steps)) = &mut answer.answer else { panic!("no steps") };
+        lie(steps);
+        assert_refused(Steps::from_wire(&answer, &environment(), 2), reason, field);
     }
 }
 
 #[test]
 fn another_answer_than_the_one_asked_for_is_refused() {
-    let field = |refused: Result<View, Refusal>| refused.unwrap_err().to_string();
-    let spec = environment();
-    assert_eq!(
-        field(View::from_wire(&steps().to_wire(), &spec)),
-        "BAD_VALUE: answer: steps, expected view"
-    );
     let nothing = wire::PlayResponse { answer: None };
-    assert_eq!(field(View::from_wire(&nothing, &spec)), "MISSING_FIELD: answer: must be set");
+    for (answer, message) in [
+        (steps().to_wire(), "BAD_VALUE: answer: steps, expected view"),
+        (nothing, "MISSING_FIELD: answer: must be set"),
+    ] {
+        let refusal = View::from_wire(&answer, &environment()).unwrap_err();
+        assert_eq!(refusal.to_string(), message);
+    }
 }
 
 #[test]
@@ -112,20 +105,23 @@ fn a_saved_state_has_bytes_and_not_more_than_it_may() {
     }
 }
 
+fn described(spec: &EnvironmentSpec) -> Result<EnvironmentSpec, Refusal> {
+    let environment = Some(spec.to_wire());
+    EnvironmentSpec::from_service(wire::DescribeEnvironmentResponse { environment })
+}
+
 #[test]
 fn a_program_that_cannot_save_states_is_no_liar_and_equal_descriptions_have_one_digest() {
     let offered = EnvironmentSpec { max_state_bytes: 0, ..environment() };
-    let answer = wire::DescribeEnvironmentResponse { environment: Some(offered.to_wire()) };
-    let read = EnvironmentSpec::from_service(answer);
-    assert_eq!(read.as_ref().map(EnvironmentSpec::digest), Ok(offered.digest()));
+    assert_eq!(described(&offered).map(|spec| spec.digest()), Ok(offered.digest()));
     assert_ne!(offered.digest(), environment().digest());
+    let unsaved = EnvironmentSpec { state_kind: String::new(), ..environment() };
+    assert!(described(&unsaved).is_ok());
 }
-
-/// A name in a description.
-type NameOf = fn(&mut EnvironmentSpec) -> &mut String;
 
 #[test]
 fn a_name_of_an_environment_that_cannot_be_shown_is_refused_by_its_field() {
+    type NameOf = fn(&mut EnvironmentSpec) -> &mut String;
     let named: [(&str, NameOf); 6] = [
         ("task", |spec| &mut spec.task),
         ("state_kind", |spec| &mut spec.state_kind),
@@ -134,22 +130,13 @@ fn a_name_of_an_environment_that_cannot_be_shown_is_refused_by_its_field() {
         ("agents[0].joints[1]", |spec| &mut spec.agents[0].joints[1]),
         ("agents[0].observation[2].name", |spec| &mut spec.agents[0].observation[2].name),
     ];
-    let answer = |spec: &EnvironmentSpec| wire::DescribeEnvironmentResponse {
-        environment: Some(spec.to_wire()),
-    };
     let unnamed = EnvironmentSpec { task: String::new(), ..environment() };
-    assert_eq!(
-        EnvironmentSpec::from_service(answer(&unnamed)).unwrap_err().field,
-        "environment.task"
-    );
-    let unsaved = EnvironmentSpec { state_kind: String::new(), ..environment() };
-    assert!(EnvironmentSpec::from_service(answer(&unsaved)).is_ok());
+    assert_refused(described(&unnamed), BadValue, "environment.task");
     for (field, name) in named {
         for hostile in ["a ", "a\nb", "a\u{2029}b", "a\u{2066}b", "\u{feff}a"] {
             let mut spec = environment();
             hostile.clone_into(name(&mut spec));
-            let refusal = EnvironmentSpec::from_service(answer(&spec)).unwrap_err();
-            assert_eq!(refusal.field, format!("environment.{field}"), "{hostile:?}");
+            assert_refused(described(&spec), BadValue, &format!("environment.{field}"));
         }
     }
 }

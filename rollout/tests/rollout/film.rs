@@ -2,9 +2,8 @@
 
 use proto::MAX_FRAMES;
 use rollout::FilmRecorder;
-use sim::{ObservationConfig, ObservationNorm, TaskConfig};
 
-use crate::fixture;
+use crate::{cue, fixture};
 
 #[test]
 fn a_film_has_every_capsule_at_its_link_and_is_limited_in_length() {
@@ -24,9 +23,5 @@ fn a_film_has_every_capsule_at_its_link_and_is_limited_in_length() {
 
 #[test]
 fn a_game_has_no_film() {
-    let observation =
-        ObservationConfig { norm: ObservationNorm::None, ..fixture::task().observation };
-    let task = TaskConfig { task: "cue-2x1".to_owned(), observation, ..fixture::task() };
-    let world = sim::environments(&task, 1).unwrap();
-    assert!(FilmRecorder::before(&*world).is_none());
+    assert!(FilmRecorder::before(&*sim::environments(&cue(), 1).unwrap()).is_none());
 }

@@ -55,15 +55,13 @@ fn settings() -> Vec<ObservationConfig> {
     let mut settings = Vec::new();
     for norm in norms {
         for contact_forces in forces {
-            for (mode, globals) in views {
-                settings.push(ObservationConfig {
-                    mode,
-                    norm,
-                    nearest: 1,
-                    globals,
-                    contact_forces,
-                });
-            }
+            settings.extend(views.map(|(mode, globals)| ObservationConfig {
+                mode,
+                norm,
+                nearest: 1,
+                globals,
+                contact_forces,
+            }));
         }
     }
     settings

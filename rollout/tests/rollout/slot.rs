@@ -3,19 +3,40 @@
 use std::ops::ControlFlow;
 
 use policy::Scratch;
+use policy::randomness::{Draw, DrawKey, Purpose, RunSeed};
 use proto::{ActionChoice, EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
 use rollout::StepEvent;
+use sim::{EnvironmentBatch, TaskConfig};
 
-use crate::fixture::{ENVIRONMENTS, HIDDEN, HIDDEN_EVERY, policy, task, world};
-use crate::work::{CHUNK, STEPS, fresh_work, run};
+use crate::cue;
+use crate::fixture::{ENVIRONMENTS, HIDDEN, HIDDEN_EVERY, policy, policy_for, task, world};
+use crate::work::{CHUNK, STEPS, fresh_work, run, run_of};
 
-fn roll(work: &RolloutWork, world: &mut dyn sim::EnvironmentBatch) -> Vec<TrajectoryChunk> {
-    let mut chunks = Vec::new();
+/// Tasks with continuous and with discrete actions.
+fn tasks() -> [TaskConfig; 2] {
+    [task(), cue()]
+}
+
+fn open(task: &TaskConfig) -> Box<dyn EnvironmentBatch> {
+    sim::environments(task, ENVIRONMENTS).unwrap()
+}
+
+/// Rolls out `work` in new environments.
+fn roll(task: &TaskConfig, work: &RolloutWork) -> Vec<TrajectoryChunk> {
+    roll_in(open(task).as_mut(), task, work)
+}
+
+fn roll_in(
+    world: &mut dyn EnvironmentBatch,
+    task: &TaskConfig,
+    work: &RolloutWork,
+) -> Vec<TrajectoryChunk> {
+    let (policy, mut chunks) = (policy_for(world.description()), Vec::new());
     let emit = |chunk| {
         chunks.push(chunk);
         ControlFlow::Continue(())
     };
-    rollout::roll_out(&run(), work, &policy(), world, |_| {}, emit).unwrap();
+    rollout::roll_out(&run_of(task), work, &policy, world, |_| {}, emit).unwrap();
     chunks
 }
 
@@ -36,18 +57,20 @@ fn next_work(chunks: &[TrajectoryChunk]) -> RolloutWork {
 
 #[test]
 fn a_slot_is_repeatable_in_used_and_new_environments() {
-    let mut used = world();
-    let first = roll(&fresh_work(), &mut *used);
-    assert_eq!(roll(&fresh_work(), &mut *used), first);
-    assert_eq!(roll(&fresh_work(), &mut *world()), first);
-    let next = roll(&next_work(&first), &mut *used);
-    assert_eq!(roll(&next_work(&first), &mut *world()), next);
-    assert_ne!(next[0].agents[0].action, first[0].agents[0].action);
+    for task in tasks() {
+        let mut used = open(&task);
+        let first = roll_in(used.as_mut(), &task, &fresh_work());
+        assert_eq!(roll_in(used.as_mut(), &task, &fresh_work()), first);
+        assert_eq!(roll(&task, &fresh_work()), first);
+        let next = roll_in(used.as_mut(), &task, &next_work(&first));
+        assert_eq!(roll(&task, &next_work(&first)), next);
+        assert_ne!(next[0].agents[0].action, first[0].agents[0].action);
+    }
 }
 
 #[test]
 fn chunks_have_the_shapes_of_the_run_and_consecutive_steps() {
-    let chunks = roll(&fresh_work(), &mut *world());
+    let chunks = roll(&task(), &fresh_work());
     assert_eq!(chunks.len() as u32, STEPS / CHUNK);
     let rows = CHUNK as usize * ENVIRONMENTS;
     for (index, chunk) in chunks.iter().enumerate() {
@@ -65,19 +88,28 @@ fn chunks_have_the_shapes_of_the_run_and_consecutive_steps() {
 
 #[test]
 fn chunks_survive_the_protocol() {
-    for chunk in roll(&fresh_work(), &mut *world()) {
-        let (message, digest) = chunk.to_wire(&run(), &fresh_work().origin());
-        assert_eq!(
-            TrajectoryChunk::from_wire(&message, &run(), &fresh_work().origin(), digest).unwrap(),
-            chunk
-        );
-        assert_eq!(digest, chunk.digest(&fresh_work().origin()));
+    for task in tasks() {
+        let (run, origin) = (run_of(&task), fresh_work().origin());
+        assert_eq!(run.validate(), Ok(()));
+        for chunk in roll(&task, &fresh_work()) {
+            let (message, digest) = chunk.to_wire(&run, &origin);
+            assert_eq!(digest, chunk.digest(&origin));
+            assert_eq!(TrajectoryChunk::from_wire(&message, &run, &origin, digest), Ok(chunk));
+        }
     }
 }
 
 #[test]
+fn every_choice_is_drawn() {
+    let chunks = roll(&cue(), &fresh_work());
+    let actions: Vec<f32> =
+        chunks.iter().flat_map(|chunk| chunk.agents[1].action.clone()).collect();
+    assert!([0.0, 1.0, 2.0].iter().all(|choice| actions.contains(choice)), "{actions:?}");
+}
+
+#[test]
 fn a_truncated_episode_has_its_final_state_and_resets_the_recurrent_state() {
-    let chunks = roll(&fresh_work(), &mut *world());
+    let chunks = roll(&task(), &fresh_work());
     let ends: Vec<(u32, u32)> =
         chunks.iter().flat_map(|c| &c.finals).map(|last| (last.step, last.environment)).collect();
     assert_eq!(ends, [(14, 0), (39, 0), (39, 1)]);
@@ -94,20 +126,20 @@ fn a_truncated_episode_has_its_final_state_and_resets_the_recurrent_state() {
 
 #[test]
 fn stored_hidden_states_reproduce_the_sent_log_probabilities() {
-    let (chunks, policy) = (roll(&fresh_work(), &mut *world()), policy());
-    let mut scratch = Scratch::default();
-    for (index, own) in policy.agents.iter().enumerate() {
-        let agent = &chunks[1].agents[index];
-        let mut hidden = agent.hidden[..ENVIRONMENTS * HIDDEN].to_vec();
-        for step in 0..HIDDEN_EVERY as usize {
-            let rows = step * ENVIRONMENTS..(step + 1) * ENVIRONMENTS;
-            let mut mean = vec![0.0; ENVIRONMENTS * 3];
-            let observation = &agent.observation[rows.start * 19..rows.end * 19];
-            own.forward(ENVIRONMENTS, observation, &mut hidden, &mut mean, &mut scratch);
-            for (position, row) in rows.enumerate() {
-                let (mean, action) = (&mean[position * 3..][..3], &agent.action[row * 3..][..3]);
-                let found = policy::gaussian::log_prob(mean, own.sigma(), action);
-                assert_eq!(found, agent.log_prob[row], "agent {index}, row {row}");
+    for task in tasks() {
+        let policy = policy_for(open(&task).description());
+        for (own, agent) in policy.agents.iter().zip(&roll(&task, &fresh_work())[1].agents) {
+            let mut hidden = agent.hidden[..ENVIRONMENTS * HIDDEN].to_vec();
+            let observations = agent.observation.chunks(ENVIRONMENTS * own.observation_size());
+            let mut actions = agent.action.chunks(own.action_size()).zip(&agent.log_prob);
+            for observation in observations.take(HIDDEN_EVERY as usize) {
+                let mut outputs = vec![0.0; ENVIRONMENTS * own.output_size()];
+                let scratch = &mut Scratch::default();
+                own.forward(ENVIRONMENTS, observation, &mut hidden, &mut outputs, scratch);
+                for output in outputs.chunks(own.output_size()) {
+                    let (action, log_prob) = actions.next().unwrap();
+                    assert_eq!(own.log_prob(output, action), *log_prob, "{}", task.task);
+                }
             }
         }
     }
@@ -115,7 +147,7 @@ fn stored_hidden_states_reproduce_the_sent_log_probabilities() {
 
 #[test]
 fn an_invalid_state_is_rejected_without_a_step() {
-    let mut work = next_work(&roll(&fresh_work(), &mut *world()));
+    let mut work = next_work(&roll(&task(), &fresh_work()));
     work.environments[0].start =
         Start::Continue { state: vec![7; 10], recurrent: vec![vec![0.0; HIDDEN]; 2] };
     let outcome =
@@ -125,7 +157,6 @@ fn an_invalid_state_is_rejected_without_a_step() {
 
 #[test]
 fn evaluation_episodes_are_repeatable_with_mean_and_sampled_actions() {
-    use policy::randomness::{Draw, DrawKey, Purpose, RunSeed};
     let play_by = |seed: u64, choice: ActionChoice| {
         let mut world = sim::environments(&task(), 1).unwrap();
         let key = DrawKey::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));

@@ -1,6 +1,5 @@
-//! A recurrent critic's values, states and gradients.
+//! A recurrent critic's values and states. `marl/tests/references` compares them and its gradients with PyTorch's.
 
-use candle_core::Tensor;
 use policy::RunSeed;
 use policy::arrays::{Array, NamedArrays};
 use policy::randomness::{Draw, Purpose, generator, standard_normal};
@@ -8,10 +7,8 @@ use rand::RngCore;
 
 use super::*;
 use crate::config::{CriticConfig, CriticCore, StateNorm};
-use crate::critic::{FitData, Values};
+use crate::critic::Values;
 use crate::data::batch::Final;
-use crate::optimisation::gradient::Gradients;
-use crate::optimisation::tests::meets_finite_differences;
 use crate::sample;
 use crate::state::{restored, saved};
 
@@ -68,47 +65,12 @@ fn with_memory() -> Critic {
     critic
 }
 
-fn carried(critic: &Critic) -> &[f32] {
-    &critic.memory.as_ref().unwrap().carried
-}
-
 fn arrays(critic: &mut Critic) -> NamedArrays {
     saved("", |visitor| critic.visit(visitor)).unwrap()
 }
 
 fn restore(critic: &mut Critic, arrays: &NamedArrays) -> Result<(), MarlError> {
     restored(arrays, |visitor| critic.visit(visitor)).map(drop)
-}
-
-/// The values of one row, `[V]`.
-fn of_row(values: &Values, row: usize) -> &[f64] {
-    &values.normalized[row * VALUES..(row + 1) * VALUES]
-}
-
-#[test]
-fn values_after_an_episodes_end_do_not_depend_on_what_was_before() {
-    let critic = with_memory();
-    let batch = rollout(1, STEPS, &ENDS);
-    let mut changed = batch.clone();
-    for row in 0..ENVIRONMENTS {
-        changed.state[row * INPUTS] += 1.0;
-    }
-    let (old, new) = (values(&critic, &batch), values(&critic, &changed));
-    for row in 0..batch.rows() {
-        let (step, environment) = (row / ENVIRONMENTS, row % ENVIRONMENTS);
-        let end = [1, 2, 5][environment];
-        assert_eq!(of_row(&old, row) == of_row(&new, row), step > end, "row {row}");
-    }
-}
-
-#[test]
-fn states_are_carried_to_the_next_rollout_except_across_an_end() {
-    let mut critic = with_memory();
-    let ended = values(&critic, &rollout(1, STEPS, &ENDS));
-    critic.carry(&ended);
-    let zero: Vec<bool> =
-        carried(&critic).chunks_exact(WIDTH).map(|state| state.iter().all(|&x| x == 0.0)).collect();
-    assert_eq!(zero, [false, false, true]);
 }
 
 #[test]
@@ -128,144 +90,21 @@ fn two_rollouts_have_the_values_of_one_of_twice_the_length() {
 }
 
 #[test]
-fn a_truncated_episode_is_bootstrapped_with_the_memory_of_its_last_step() {
-    let critic = with_memory();
-    let whole = values(&critic, &rollout(1, STEPS, &[]));
-    let mut cut = rollout(1, STEPS, &[(2, 1)]);
-    let next = 3 * ENVIRONMENTS + 1;
-    cut.finals[0].state = cut.state[next * INPUTS..(next + 1) * INPUTS].to_vec();
-    let found = values(&critic, &cut);
-    for head in 0..VALUES {
-        let row = next - ENVIRONMENTS;
-        assert_eq!(found.next[head][row], whole.now[head][next]);
-        assert_ne!(found.now[head][next], whole.now[head][next]);
-    }
-}
-
-/// Values of all chunks as the fit computes them, in the order of rows.
-fn by_chunks(critic: &Critic, batch: &Batch, values: &Values) -> Vec<f64> {
-    let (layout, weights) = (values.layout, critic.layers.weights().unwrap());
-    let mut found = vec![0.0; values.normalized.len()];
-    for chunk in 0..layout.chunks {
-        let rows = layout.sources(&[chunk]);
-        let states = rows.iter().flat_map(|&row| &batch.state[row * INPUTS..(row + 1) * INPUTS]);
-        let unrolled = values.unrolled.as_ref().unwrap();
-        let start = unrolled.start(layout, &[chunk]).unwrap();
-        let own = critic.forward(&weights, states.copied().collect(), Some(&start)).unwrap();
-        for (row, own) in rows.iter().zip(numbers(&own).unwrap().chunks_exact(VALUES)) {
-            found[row * VALUES..(row + 1) * VALUES].copy_from_slice(own);
-        }
-    }
-    found
-}
-
-#[test]
 fn chunks_of_an_unchanged_critic_have_the_values_of_the_whole_rollout_bit_for_bit() {
     let critic = with_memory();
     let batch = rollout(1, STEPS, &ENDS);
     let values = values(&critic, &batch);
-    assert_eq!(values.layout.chunks, STEPS / CHUNK * ENVIRONMENTS);
-    assert_eq!(by_chunks(&critic, &batch, &values), values.normalized);
-}
-
-/// Rows of a stored matrix or vector `[out]`, `[out][in]`.
-fn stored(arrays: &NamedArrays, name: &str) -> Vec<Vec<f64>> {
-    match &arrays[&format!("weights/critic.{name}")] {
-        Array::F32 { shape, data } => {
-            let width = if shape.len() == 2 { shape[1] } else { 1 };
-            let data: Vec<f64> = data.iter().map(|&x| f64::from(x)).collect();
-            data.chunks_exact(width).map(<[f64]>::to_vec).collect()
-        }
-        _ => panic!("{name} is not f32"),
-    }
-}
-
-fn affine(arrays: &NamedArrays, weight: &str, bias: &str, x: &[f64]) -> Vec<f64> {
-    let row = |(row, bias): (Vec<f64>, Vec<f64>)| {
-        bias[0] + row.iter().zip(x).map(|(w, x)| w * x).sum::<f64>()
-    };
-    stored(arrays, weight).into_iter().zip(stored(arrays, bias)).map(row).collect()
-}
-
-/// Layer norms have their initial weights of 1 and biases of 0.
-fn normalised(x: &[f64]) -> Vec<f64> {
-    let count = x.len() as f64;
-    let mean = x.iter().sum::<f64>() / count;
-    let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
-    x.iter().map(|x| (x - mean) / libm::sqrt(variance + 1e-5)).collect()
-}
-
-#[test]
-fn one_step_is_a_gru_step_between_the_layers_and_the_values() {
-    let mut critic = with_memory();
-    critic.parameters.vars()[0].set(&shifted(&critic, 0.1)).unwrap();
-    let norms = ["norm", "layers.0.norm", "gru_norm"];
-    reset_norms(&mut critic, &norms);
-    let (batch, start) = (rollout(1, STEPS, &[]), carried(&critic)[..WIDTH].to_vec());
-    let arrays = arrays(&mut critic);
-    let x: Vec<f64> = batch.state[..INPUTS].iter().map(|&x| f64::from(x)).collect();
-    let h: Vec<f64> = start.iter().map(|&h| f64::from(h)).collect();
-    let y = affine(&arrays, "layers.0.linear.weight", "layers.0.linear.bias", &normalised(&x));
-    let y = normalised(&y.into_iter().map(|y| y.max(0.0)).collect::<Vec<_>>());
-    let input = affine(&arrays, "gru.weight_ih", "gru.bias_ih", &y);
-    let recurrent = affine(&arrays, "gru.weight_hh", "gru.bias_hh", &h);
-    let sigmoid = |x: f64| 1.0 / (1.0 + libm::exp(-x));
-    let unit = |unit: usize| {
-        let r = sigmoid(input[unit] + recurrent[unit]);
-        let z = sigmoid(input[WIDTH + unit] + recurrent[WIDTH + unit]);
-        let n = libm::tanh(input[2 * WIDTH + unit] + r * recurrent[2 * WIDTH + unit]);
-        (1.0 - z) * n + z * h[unit]
-    };
-    let after: Vec<f64> = (0..WIDTH).map(unit).collect();
-    let expected = affine(&arrays, "value.weight", "value.bias", &normalised(&after));
-    let found = values(&critic, &batch);
-    for (found, expected) in of_row(&found, 0).iter().zip(expected) {
-        // A sum of some ten products of single precision.
-        assert!((found - expected).abs() < 2e-6, "{found} {expected}");
-    }
-}
-
-/// All parameters plus random numbers of deviation `by`, so that no bias is 0.
-fn shifted(critic: &Critic, by: f64) -> Tensor {
-    let var = critic.parameters.vars()[0].as_tensor();
-    let mut rng = generator(RunSeed(8), Draw::of(Purpose::Probe));
-    let moves = normals(var.elem_count(), &mut rng);
-    let moves = Tensor::from_vec(moves, var.shape(), &Device::Cpu).unwrap();
-    (var + (moves * by).unwrap()).unwrap()
-}
-
-fn reset_norms(critic: &mut Critic, names: &[&str]) {
-    let mut arrays = arrays(critic);
-    for name in names {
-        for (part, value) in [("weight", 1.0), ("bias", 0.0)] {
-            let array = arrays.get_mut(&format!("weights/critic.{name}.{part}")).unwrap();
-            let Array::F32 { data, .. } = array else { panic!("{name} is not f32") };
-            data.fill(value);
+    let (layout, weights) = (values.layout, critic.layers.weights().unwrap());
+    assert_eq!(layout.chunks, STEPS / CHUNK * ENVIRONMENTS);
+    for chunk in 0..layout.chunks {
+        let rows = layout.sources(&[chunk]);
+        let states = rows.iter().flat_map(|&row| &batch.state[row * INPUTS..(row + 1) * INPUTS]);
+        let start = values.unrolled.as_ref().unwrap().start(layout, &[chunk]).unwrap();
+        let own = critic.forward(&weights, states.copied().collect(), Some(&start)).unwrap();
+        for (row, own) in rows.iter().zip(numbers(&own).unwrap().chunks_exact(VALUES)) {
+            assert_eq!(own, &values.normalized[row * VALUES..(row + 1) * VALUES], "row {row}");
         }
     }
-    restore(critic, &arrays).unwrap();
-}
-
-/// Loss and gradient on some chunks.
-fn loss(critic: &Critic, batch: &Batch, values: &Values, target: &[f64]) -> (f64, Gradients) {
-    let data = FitData { rows: &batch.state, values, target };
-    let weights = critic.layers.weights().unwrap();
-    critic.gradient(&weights, data, &[0, 4, 3], 6).unwrap()
-}
-
-#[test]
-fn the_gradient_matches_finite_differences() {
-    let critic = with_memory();
-    let batch = rollout(1, STEPS, &ENDS);
-    let values = values(&critic, &batch);
-    let target: Vec<f64> = (0..values.normalized.len()).map(|at| (at % 7) as f64 - 3.0).collect();
-    let var = &critic.parameters.vars()[0];
-    var.set(&shifted(&critic, 0.01)).unwrap();
-    let (_, Gradients(gradients)) = loss(&critic, &batch, &values, &target);
-    let gradient = &gradients[0];
-    let loss = || loss(&critic, &batch, &values, &target).0;
-    let used = meets_finite_differences(&loss, (var, gradient), 0..gradient.len(), (1e-3, 1e-4));
-    assert!(2 * used > gradient.len(), "{used} of {} have a slope", gradient.len());
 }
 
 #[test]

@@ -3,27 +3,15 @@
 use policy::randomness::standard_normal;
 
 use super::*;
-use crate::config::{Estimator, QTraining};
 use crate::influence::mutual_information;
+use crate::sample;
 
 const ROWS: usize = 20_000;
 const SIGMA: f64 = 0.3;
 
 fn config() -> InfluenceConfig {
-    InfluenceConfig {
-        lambda: 0.01,
-        estimator: Estimator::VariationalKl,
-        q_training: QTraining::Mle,
-        kappa: 1.0,
-        encoder: 16,
-        hidden: 16,
-        epochs: 10,
-        learning_rate: 2e-2,
-        minibatches: 20,
-        posterior_sigma_floor: 0.05,
-        holdout_every: 5,
-        lag: 0,
-    }
+    let usual = sample::config().influence;
+    InfluenceConfig { encoder: 16, hidden: 16, epochs: 10, minibatches: 20, ..usual }
 }
 
 fn posterior() -> Posterior {
@@ -47,14 +35,29 @@ fn actions(rho: f64) -> (Vec<f64>, Vec<f32>) {
     (0..ROWS).map(pair).unzip()
 }
 
-/// Features without information, `[ROWS, 2]`.
-fn features() -> Tensor {
-    Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap()
+/// Rows of actions and what they are conditioned on. The features are without information.
+struct Data {
+    features: Tensor,
+    others: Vec<f32>,
+    action: Vec<f64>,
+    policy: HeadRows,
 }
 
-/// The marginal policy of the agent's actions.
-fn marginal() -> HeadRows {
-    HeadRows::gaussian(vec![0.0; ROWS], vec![SIGMA])
+impl Data {
+    fn new((action, others): (Vec<f64>, Vec<f32>), policy: HeadRows) -> Self {
+        let features = Tensor::ones((ROWS, 2), DType::F32, &Device::Cpu).unwrap();
+        Self { features, others, action, policy }
+    }
+
+    /// Normal actions with the marginal policy of the agent's.
+    fn normal(rho: f64) -> Self {
+        Self::new(actions(rho), HeadRows::gaussian(vec![0.0; ROWS], vec![SIGMA]))
+    }
+
+    fn conditions(&self) -> Conditions<'_> {
+        let Self { features, others, action, policy } = self;
+        Conditions { features, others, action, policy }
+    }
 }
 
 /// Held-out rows (one of five) and the remaining ones.
@@ -62,40 +65,29 @@ fn parts() -> (Vec<usize>, Vec<usize>) {
     (0..ROWS).partition(|row| row % 5 == 4)
 }
 
-fn fitted(posterior: &mut Posterior, data: &Conditions<'_>) {
-    let ((held_out, trained), draw) = (parts(), Draw::of(Purpose::PosteriorMinibatch));
-    posterior.fit(data, &trained, &held_out, (RunSeed(3), draw)).unwrap();
-}
-
 /// Mean gain in log-probability over the policy on held-out rows.
-fn information(posterior: &Posterior, data: &Conditions<'_>) -> f64 {
+fn information(posterior: &Posterior, data: &Data) -> f64 {
     let (held_out, all) = (parts().0, (0..ROWS).collect::<Vec<usize>>());
-    let log_q = posterior.conditional(data, &all).unwrap().log_prob(data.action, &held_out);
-    mutual_information(&log_q, &data.policy.log_prob(data.action, &held_out)).unwrap()
+    let conditional = posterior.conditional(&data.conditions(), &all).unwrap();
+    let log_q = conditional.log_prob(&data.action, &held_out);
+    mutual_information(&log_q, &data.policy.log_prob(&data.action, &held_out)).unwrap()
 }
 
-/// Trains on four of five rows. Returns the mean gain in log-probability over the marginal on the others.
-fn estimate(rho: f64) -> f64 {
-    let (action, others) = actions(rho);
-    let features = features();
-    let data =
-        Conditions { features: &features, others: &others, action: &action, policy: &marginal() };
-    let mut posterior = posterior();
-    fitted(&mut posterior, &data);
-    information(&posterior, &data)
-}
-
-#[test]
-fn independent_actions_have_no_information_about_each_other() {
-    assert!(estimate(0.0).abs() < 0.02, "{}", estimate(0.0));
+/// The information after training on four of five rows.
+fn estimate(mut posterior: Posterior, data: &Data) -> f64 {
+    let ((held_out, trained), draw) = (parts(), Draw::of(Purpose::PosteriorMinibatch));
+    posterior.fit(&data.conditions(), &trained, &held_out, (RunSeed(3), draw)).unwrap();
+    information(&posterior, data)
 }
 
 #[test]
 fn the_information_of_correlated_actions_is_estimated_to_a_twentieth_of_a_nat() {
     // I = -1/2 log(1 - rho^2).
-    for (rho, truth) in [(0.5, 0.143_841), (0.8, 0.510_826)] {
-        let found = estimate(rho);
-        assert!((found - truth).abs() < 0.05, "rho {rho}: {found}, truth {truth}");
+    for (rho, truth, tolerance) in
+        [(0.0, 0.0, 0.02), (0.5, 0.143_841, 0.05), (0.8, 0.510_826, 0.05)]
+    {
+        let found = estimate(posterior(), &Data::normal(rho));
+        assert!((found - truth).abs() < tolerance, "rho {rho}: {found}, truth {truth}");
     }
 }
 
@@ -113,50 +105,38 @@ fn the_information_of_choices_that_mostly_agree_is_estimated_to_a_fiftieth_of_a_
         action.push(((row + chance) % 3) as f64);
         kind.encode(&[(row % 3) as f32], &mut others);
     }
-    let features = features();
-    let even = HeadRows::categorical(vec![0.0; 3 * ROWS], 3);
-    let data = Conditions { features: &features, others: &others, action: &action, policy: &even };
-    let mut posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
-    fitted(&mut posterior, &data);
-    let found = information(&posterior, &data);
+    let data = Data::new((action, others), HeadRows::categorical(vec![0.0; 3 * ROWS], 3));
+    let posterior = of_shape(PosteriorShape { others: 3, features: 2, action: 1, kind });
+    let found = estimate(posterior, &data);
     let truth = libm::log(3.0) + 0.8 * libm::log(0.8) + 0.2 * libm::log(0.1);
     assert!((found - truth).abs() < 0.02, "{found}, truth {truth}");
 }
 
 #[test]
 fn an_untrained_posterior_is_the_policy_and_its_estimate_is_exactly_zero() {
-    let (action, others) = actions(0.8);
-    let features = features();
-    let policy = marginal();
-    let data =
-        Conditions { features: &features, others: &others, action: &action, policy: &policy };
+    let data = Data::normal(0.8);
     let all: Vec<usize> = (0..ROWS).collect();
-    assert_eq!(posterior().conditional(&data, &all).unwrap(), policy);
+    assert_eq!(posterior().conditional(&data.conditions(), &all).unwrap(), data.policy);
     assert_eq!(information(&posterior(), &data), 0.0);
 }
 
 #[test]
 fn training_never_lowers_the_likelihood_of_held_out_rows() {
-    let (action, others) = actions(0.0);
-    let features = features();
-    let policy = marginal();
-    let data =
-        Conditions { features: &features, others: &others, action: &action, policy: &policy };
-    let mut posterior = posterior();
+    let (data, mut posterior) = (Data::normal(0.0), posterior());
     let draw = Draw::of(Purpose::PosteriorMinibatch);
     // Forty rows contain nothing that generalises.
     let (trained, held_out): (Vec<usize>, Vec<usize>) = ((0..40).collect(), (40..2000).collect());
-    posterior.fit(&data, &trained, &held_out, (RunSeed(3), draw)).unwrap();
-    let log_q = posterior.log_likelihood(&data, &held_out).unwrap();
-    let log_p = policy.log_prob(&action, &held_out).iter().sum::<f64>() / held_out.len() as f64;
+    posterior.fit(&data.conditions(), &trained, &held_out, (RunSeed(3), draw)).unwrap();
+    let log_q = posterior.log_likelihood(&data.conditions(), &held_out).unwrap();
+    let log_p = data.policy.log_prob(&data.action, &held_out);
+    let log_p = log_p.iter().sum::<f64>() / held_out.len() as f64;
     assert!(log_q >= log_p, "{log_q} {log_p}");
 }
 
 #[test]
 #[should_panic(expected = "the others' actions has the shape 19999, expected 20000")]
 fn other_actions_of_another_number_of_rows_are_refused_with_both_shapes() {
-    let ((action, others), features, policy) = (actions(0.0), features(), marginal());
-    let data =
-        Conditions { features: &features, others: &others[1..], action: &action, policy: &policy };
-    let _refused = posterior().conditional(&data, &[0]);
+    let mut data = Data::normal(0.0);
+    data.others.pop();
+    let _refused = posterior().conditional(&data.conditions(), &[0]);
 }

@@ -222,12 +222,6 @@ mod tests {
     use crate::config::StateNorm;
     use crate::sample;
 
-    fn parameters(values: [f32; 2]) -> Parameters {
-        let mut parameters = Parameters::new();
-        parameters.add("x", Tensor::new(&values, &Device::Cpu).unwrap()).unwrap();
-        parameters
-    }
-
     #[test]
     fn action_values_scale_states_with_feature_z() {
         let (problem, mut config) = (sample::problem(), sample::config());
@@ -240,14 +234,5 @@ mod tests {
         };
         assert_eq!(seen(StateNorm::None, &mut config), [[1.0, 5.0, 9.0]]);
         assert_eq!(seen(StateNorm::FeatureZ, &mut config), [[-1.0, 1.0, 9.0]]);
-    }
-
-    #[test]
-    fn a_target_network_moves_by_the_polyak_factor() {
-        let (slow, fast) = (parameters([1.0, -2.0]), parameters([5.0, 2.0]));
-        polyak_update(&slow, &fast, 0.25).unwrap();
-        assert_eq!(slow.vars()[0].as_tensor().to_vec1::<f32>().unwrap(), [2.0, -1.0]);
-        polyak_update(&slow, &fast, 1.0).unwrap();
-        assert_eq!(slow.values().unwrap(), fast.values().unwrap());
     }
 }

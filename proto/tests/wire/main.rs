@@ -1,0 +1,38 @@
+//! Every message survives the round trip, and an invalid one is rejected with the name of the field.
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod acting;
+mod choices;
+mod film;
+mod hostile;
+mod left_out;
+mod lies;
+mod play;
+mod registration;
+mod round_trips;
+mod sample;
+
+use std::fmt::Debug;
+
+use prost::Message;
+use proto::{Digest, Reason, Refusal, RunDescription, TrajectoryChunk, wire};
+
+/// A message after the way to bytes and back.
+fn sent<M: Message + Default>(message: &M) -> M {
+    M::decode(message.encode_to_vec().as_slice()).unwrap()
+}
+
+/// What the learner reads from the message of a chunk.
+fn received(
+    message: &wire::TrajectoryChunk,
+    run: &RunDescription,
+    digest: Digest,
+) -> Result<TrajectoryChunk, Refusal> {
+    TrajectoryChunk::from_wire(&sent(message), run, &sample::origin(), digest)
+}
+
+#[track_caller]
+fn assert_refused<T: Debug>(result: Result<T, Refusal>, reason: Reason, field: &str) {
+    let refusal = result.unwrap_err();
+    assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field), "{refusal}");
+}
