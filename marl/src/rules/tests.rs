@@ -110,7 +110,7 @@ fn equal_advantages_change_no_policy_and_are_counted() {
 }
 
 /// The rewards with the surprise of a fitted density.
-fn relabelled(config: &Config, batch: &Batch) -> Rewards {
+fn relabelled(config: &TrainingConfig, batch: &Batch) -> Rewards {
     let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
     surprise.refit(batch, 0).unwrap();
     surprise.relabel(batch)
