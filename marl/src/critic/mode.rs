@@ -47,53 +47,19 @@ impl CriticMode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::batch::{Batch, Final};
-    use crate::objective::advantage::{Horizon, advantage, next_values};
-
-    const HALF: Horizon = Horizon { gamma: 0.5, lambda: 0.5 };
-
-    /// Two steps of one environment without an episode's end; the team rewards are 1 and 2.
-    fn batch() -> Batch {
-        Batch {
-            steps: 2,
-            environments: 1,
-            reward: vec![1.0, 2.0],
-            terminated: vec![false; 2],
-            truncated: vec![false; 2],
-            finals: vec![Final { step: 1, environment: 0, ..Final::default() }],
-            ..Batch::default()
-        }
-    }
-
-    /// Both agents' advantages if all states have the values `values`, `[V]`.
-    fn advantages(mode: CriticMode, rewards: &Rewards, values: &[f64]) -> [Vec<f64>; 2] {
-        let batch = batch();
-        let valued = mode.rewards(&batch.reward, rewards);
-        assert_eq!(valued.len(), mode.values(2));
-        let one = |(reward, &value): (&Vec<f32>, &f64)| {
-            let now = [value; 2];
-            advantage(&batch, reward, &now, &next_values(&batch, &now, &[value]), HALF)
-        };
-        let valued: Vec<Vec<f64>> = valued.iter().zip(values).map(one).collect();
-        [0, 1].map(|agent| mode.of_agent(&valued, agent))
-    }
 
     #[test]
-    fn without_surprise_both_modes_give_the_same_advantages() {
-        let rewards = vec![vec![1.0, 2.0]; 2];
-        // A1 = 2 + 2 - 4 = 0, A0 = 1 + 2 - 4 + A1 / 4 = -1
-        for (mode, values) in [(CriticMode::PerAgent, &[4.0, 4.0][..]), (CriticMode::Team, &[4.0])]
-        {
-            assert_eq!(advantages(mode, &rewards, values), [[-1.0, 0.0], [-1.0, 0.0]], "{mode:?}");
+    fn with_surprise_values_are_of_every_agents_own_reward_and_otherwise_of_the_teams() {
+        let team = vec![1.0, 2.0];
+        let own = vec![vec![0.0, -1.0], vec![2.0, 3.0]];
+        let advantages = [vec![0.5], vec![1.5]];
+        for (mode, valued, expected) in [
+            (CriticMode::PerAgent, own.clone(), [0.5, 1.5]),
+            (CriticMode::Team, vec![team.clone()], [0.5, 0.5]),
+        ] {
+            assert_eq!(mode.values(2), valued.len());
+            assert_eq!(mode.rewards(&team, &own), valued);
+            assert_eq!([0, 1].map(|agent| mode.of_agent(&advantages, agent)[0]), expected);
         }
-    }
-
-    #[test]
-    fn with_surprise_every_agent_has_the_advantages_of_its_own_reward() {
-        // The surprise rewards are -1 and -3 for the first agent, 1 and 1 for the second.
-        let rewards = vec![vec![0.0, -1.0], vec![2.0, 3.0]];
-        // A1 = r1, A0 = r0 + A1 / 4 for values of 0.
-        let found = advantages(CriticMode::PerAgent, &rewards, &[0.0, 0.0]);
-        assert_eq!(found, [[-0.25, -1.0], [2.75, 3.0]]);
     }
 }

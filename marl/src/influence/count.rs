@@ -90,9 +90,6 @@ fn divergence(conditional: &BTreeMap<u32, u64>, marginal: &BTreeMap<u32, u64>) -
 
 #[cfg(test)]
 mod tests {
-    use policy::randomness::{Draw, Purpose, RunSeed, generator};
-    use rand::RngCore;
-
     use super::*;
 
     /// Two coins that agree in `same` of 10 cases, in each state.
@@ -131,29 +128,5 @@ mod tests {
     fn equal_rows_have_the_same_id() {
         assert_eq!(numbered(&[0.0, 1.0, 5.0, 1.0, -0.0, 1.0], 3), vec![0, 1, 0]);
         assert_eq!(numbered(&[], 2), vec![0, 0]);
-    }
-
-    #[test]
-    fn information_from_a_common_state_is_not_counted() {
-        let sample = |n: u64| JointSample { state: n % 2, own: (n % 2) as u32, others: n % 2 };
-        let mut samples: Vec<JointSample> = (0..20).map(sample).collect();
-        assert_eq!(counted_information(&samples), Some(0.0));
-        samples.iter_mut().for_each(|sample| sample.state = 0);
-        assert!((counted_information(&samples).unwrap() - log(2.0)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn the_estimate_of_independent_actions_is_at_most_the_bias_of_counting() {
-        let mut rng = generator(RunSeed(2), Draw::of(Purpose::Probe));
-        let mut below = |bound: u32| rng.next_u32() % bound;
-        let mut sample = |_| JointSample {
-            state: u64::from(below(2)),
-            own: below(3),
-            others: u64::from(below(4)),
-        };
-        let samples: Vec<JointSample> = (0..20_000).map(&mut sample).collect();
-        let found = counted_information(&samples).unwrap();
-        // Two states with (3 - 1)(4 - 1) degrees of freedom: 12 / (2 * 20,000) = 0.0003 on average.
-        assert!((0.0..0.001).contains(&found), "{found}");
     }
 }

@@ -1,6 +1,8 @@
 //! Whole updates with extreme or invalid numbers: an update is skipped, or clamped and counted, and every weight stays
 //! finite.
 
+mod state;
+
 use std::fmt::Debug;
 
 use policy::arrays::Array;
@@ -19,14 +21,32 @@ const RULES: [(Rule, Sharing); 3] = [
     (Rule::Mappo, Sharing::Shared),
 ];
 
+const MADDPG: (Rule, Sharing) = (Rule::Maddpg, Sharing::Separate);
+
 fn config((rule, sharing): (Rule, Sharing)) -> TrainingConfig {
     let mut config = sample::config();
     (config.update.rule, config.update.parameters) = (rule, sharing);
+    if rule == Rule::Maddpg {
+        (config.surprise.alpha, config.influence.lambda) = (0.0, 0.0);
+    }
     config
 }
 
+/// The rule with actors with memory, if it supports them.
 fn algorithm(config: &TrainingConfig) -> Box<dyn Algorithm> {
-    build(config, &sample::policy(), &sample::problem(), RunSeed(0)).unwrap()
+    let maddpg = config.update.rule == Rule::Maddpg;
+    let core = if maddpg { CoreKind::Mlp } else { CoreKind::Gru };
+    let policy = PolicyConfig { core, ..sample::policy() };
+    build(config, &policy, &sample::problem(), RunSeed(0)).unwrap()
+}
+
+/// The sample's rollout data for the actors of [`algorithm`].
+fn batch_for(config: &TrainingConfig) -> Batch {
+    let mut batch = sample::batch();
+    if config.update.rule == Rule::Maddpg {
+        batch.agents.iter_mut().for_each(|agent| agent.hidden.clear());
+    }
+    batch
 }
 
 fn plain(batch: &Batch) -> Rewards {
@@ -245,22 +265,15 @@ fn a_collapsing_sigma_stops_at_its_floor_is_counted_and_can_grow_again() {
     }
 }
 
-fn maddpg() -> (Box<dyn Algorithm>, Batch) {
-    let mut config = config((Rule::Maddpg, Sharing::Separate));
-    (config.surprise.alpha, config.influence.lambda) = (0.0, 0.0);
-    let policy = PolicyConfig { core: CoreKind::Mlp, ..sample::policy() };
-    let mut batch = sample::batch();
-    batch.agents.iter_mut().for_each(|agent| agent.hidden.clear());
-    (build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap(), batch)
-}
-
 #[test]
 fn nan_is_rejected_by_name_and_nothing_changes() {
-    let on_policy = (algorithm(&config(RULES[0])), sample::batch());
-    for ((mut algorithm, mut batch), action, reward, expected) in [
-        (on_policy, f32::NAN, 0.0, "batch.agents[1].action[3] is NaN"),
-        (maddpg(), 0.0, f32::NAN, "batch.rewards[1][3] is NaN"),
+    for (rule, action, reward, expected) in [
+        (RULES[0], f32::NAN, 0.0, "batch.agents[1].action[3] is NaN"),
+        (MADDPG, 0.0, f32::NAN, "batch.rewards[1][3] is NaN"),
     ] {
+        let config = config(rule);
+        let mut batch = batch_for(&config);
+        let mut algorithm = algorithm(&config);
         let before = algorithm.arrays().unwrap();
         let mut rewards = plain(&batch);
         (batch.agents[1].action[3], rewards[1][3]) = (action, reward);
@@ -281,7 +294,9 @@ fn maddpg_stays_finite_with_huge_numbers_and_counts_skipped_steps() {
         (|batch| batch.reward.fill(1.0), false),
     ];
     for (number, (change, skips)) in cases.into_iter().enumerate() {
-        let (mut algorithm, mut batch) = maddpg();
+        let config = config(MADDPG);
+        let mut batch = batch_for(&config);
+        let mut algorithm = algorithm(&config);
         change(&mut batch);
         let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
         assert!(named(&report, "replay/updates") > 10.0);

@@ -1,7 +1,7 @@
 //! The learning rules under test, and sizes with which a small task is learnt in a second.
 
 use marl::config::{Rule, Sharing};
-use marl::{TrainingConfig, CriticConfig, InfluenceConfig, MaddpgConfig, UpdateConfig};
+use marl::{CriticConfig, InfluenceConfig, MaddpgConfig, TrainingConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
 
 use crate::fixture;
@@ -16,21 +16,29 @@ pub(crate) struct Settings {
 /// The on-policy rules with both cores, with the weights of entropy bonus, surprise and influence of
 /// `configs/algorithms`.
 pub(crate) fn on_policy() -> Vec<Settings> {
-    let cores = [CoreKind::Gru, CoreKind::Mlp];
-    let with = |variant: (&str, Rule, Sharing, [f64; 3]), core| {
-        let (name, rule, parameters, [entropy, alpha, lambda]) = variant;
-        let mut config = config(rule);
-        (config.update.parameters, config.update.entropy) = (parameters, entropy);
-        (config.surprise.alpha, config.influence.lambda) = (alpha, lambda);
-        Settings { name: format!("{name}, {core:?}"), config, policy: policy(core) }
-    };
     let variants = [
         ("HAPPO", Rule::Happo, Sharing::Separate, [0.01, 0.0, 0.0]),
         ("HAPPO-S2MIA", Rule::Happo, Sharing::Separate, [0.0, 0.01, 0.01]),
         ("MAPPO, one network", Rule::Mappo, Sharing::Shared, [0.01, 0.0, 0.0]),
         ("MAPPO, a network each", Rule::Mappo, Sharing::Separate, [0.01, 0.0, 0.0]),
     ];
-    variants.into_iter().flat_map(|variant| cores.map(|core| with(variant, core))).collect()
+    let cores = [CoreKind::Gru, CoreKind::Mlp];
+    variants.into_iter().flat_map(|variant| cores.map(|core| settings(variant, core))).collect()
+}
+
+/// HAPPO in which all agents update one network in turn.
+pub(crate) fn happo_with_one_network() -> Settings {
+    settings(("HAPPO, one network", Rule::Happo, Sharing::Shared, [0.0; 3]), CoreKind::Mlp)
+}
+
+fn settings(
+    (name, rule, parameters, [entropy, alpha, lambda]): (&str, Rule, Sharing, [f64; 3]),
+    core: CoreKind,
+) -> Settings {
+    let mut config = config(rule);
+    (config.update.parameters, config.update.entropy) = (parameters, entropy);
+    (config.surprise.alpha, config.influence.lambda) = (alpha, lambda);
+    Settings { name: format!("{name}, {core:?}"), config, policy: policy(core) }
 }
 
 /// MADDPG, whose actors have no memory.

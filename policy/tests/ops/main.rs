@@ -123,23 +123,6 @@ fn fused_networks_are_within_a_few_millionths_of_their_twins_in_double_precision
 }
 
 #[test]
-fn the_states_after_every_row_are_those_of_the_twin_and_come_with_the_output_of_a_pass() {
-    let (specs, inputs) = networks().remove(2);
-    let (_parameters, stack) = stack(&specs);
-    let (x, start) = (single(normal(2, &[ROWS, inputs])), single(normal(3, &[SEQUENCES, 18])));
-    let mask = single(mask());
-    let recurrent = RecurrentInput { start: &start, mask: &mask };
-    let weights = stack.weights().unwrap();
-    let (states, output) = weights.states_and_output(&x, recurrent).unwrap();
-    assert_eq!((states.dims(), output.dims()), (&[ROWS, 18][..], &[ROWS, 2][..]));
-    let numbers = |tensor: &Tensor| tensor.to_vec2::<f32>().unwrap();
-    assert_eq!(numbers(&output), numbers(&weights.apply(&x, Some(recurrent)).unwrap()));
-    let twin = &twin(&specs, &normal(2, &[ROWS, inputs]), &twin_parameters(&specs))[3];
-    let off = largest(&(double(&states) - twin).unwrap()) / largest(twin);
-    assert!(off < 5e-6, "off by {off}");
-}
-
-#[test]
 fn constant_weights_give_the_same_gradient_by_the_input_and_none_by_the_parameters() {
     let (specs, inputs) = networks().remove(0);
     let (parameters, stack) = stack(&specs);

@@ -65,15 +65,6 @@ fn assert_arrives(chunk: &TrajectoryChunk, run: &RunDescription) -> [bool; 4] {
 }
 
 #[test]
-fn copies_of_the_global_state_are_left_out_and_restored() {
-    for sequence in [0, 1] {
-        assert_eq!(assert_arrives(&chunk(sequence, 1.0, [1.0, 0.0]), &run()), [false; 4]);
-    }
-    // Of scaled observations only the first agent's are sent.
-    assert_eq!(assert_arrives(&scaled(), &run()), [true, false, true, false]);
-}
-
-#[test]
 fn one_bit_that_differs_keeps_the_tensor_in_the_message() {
     let mut differs = chunk(0, 1.0, [1.0, 0.0]);
     let number = &mut differs.agents[1].observation[6];

@@ -69,29 +69,13 @@ fn a_slot_is_repeatable_in_used_and_new_environments() {
 }
 
 #[test]
-fn chunks_have_the_shapes_of_the_run_and_consecutive_steps() {
-    let chunks = roll(&task(), &fresh_work());
-    assert_eq!(chunks.len() as u32, STEPS / CHUNK);
-    let rows = CHUNK as usize * ENVIRONMENTS;
-    for (index, chunk) in chunks.iter().enumerate() {
-        assert_eq!((chunk.sequence, chunk.first_step), (index as u32, index as u32 * CHUNK));
-        assert_eq!((chunk.steps, chunk.reward.len()), (CHUNK, rows));
-        assert_eq!(chunk.state.len(), rows * 17);
-        for agent in &chunk.agents {
-            assert_eq!(agent.observation.len(), rows * 19);
-            assert_eq!((agent.action.len(), agent.log_prob.len()), (rows * 3, rows));
-            assert_eq!(agent.hidden.len(), (CHUNK / HIDDEN_EVERY) as usize * ENVIRONMENTS * HIDDEN);
-        }
-        assert_eq!(chunk.end.is_some(), index + 1 == chunks.len());
-    }
-}
-
-#[test]
-fn chunks_survive_the_protocol() {
+fn the_chunks_of_a_slot_are_complete_and_survive_the_protocol() {
     for task in tasks() {
         let (run, origin) = (run_of(&task), fresh_work().origin());
         assert_eq!(run.validate(), Ok(()));
-        for chunk in roll(&task, &fresh_work()) {
+        let chunks = roll(&task, &fresh_work());
+        assert_eq!(chunks.len() as u32, STEPS / CHUNK);
+        for chunk in chunks {
             let (message, digest) = chunk.to_wire(&run, &origin);
             assert_eq!(digest, chunk.digest(&origin));
             assert_eq!(TrajectoryChunk::from_wire(&message, &run, &origin, digest), Ok(chunk));

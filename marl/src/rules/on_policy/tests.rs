@@ -154,27 +154,19 @@ fn ratio_of(row: usize, agent: &Agent, experience: &Experience, columns: &[usize
 }
 
 #[test]
-fn the_first_ratio_of_every_row_is_one_to_a_hundred_thousandth() {
-    for core in CORES {
-        let agents = agents(&policy(core));
-        let experience = &experience(&agents, &played(&agents, &sample::problem()))[0];
-        let layout = experience.sequences.layout;
-        for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
-            let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
-            for row in (0..layout.steps).flat_map(row) {
-                let ratio = ratio_of(row, &agents[0], experience, &columns);
-                assert!((ratio - 1.0).abs() <= 1e-5, "{core:?} row {row}: {ratio}");
-            }
-        }
-    }
-}
-
-#[test]
-fn an_unchanged_policy_leaves_the_factor_at_one() {
+fn the_first_ratio_of_every_row_and_the_factor_of_an_unchanged_policy_are_one() {
     for core in CORES {
         let agents = agents(&policy(core));
         let experience = experience(&agents, &played(&agents, &sample::problem()));
-        let mut factor = vec![1.0; experience[0].log_prob.len()];
+        let layout = experience[0].sequences.layout;
+        for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
+            let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
+            for row in (0..layout.steps).flat_map(row) {
+                let ratio = ratio_of(row, &agents[0], &experience[0], &columns);
+                assert!((ratio - 1.0).abs() <= 1e-5, "{core:?} row {row}: {ratio}");
+            }
+        }
+        let mut factor = vec![1.0; layout.rows()];
         for (agent, experience) in agents.iter().zip(&experience) {
             let now = policy_change(agent, experience).unwrap();
             factor = sequential_factor(&factor, &now.log_prob, &experience.log_prob);
