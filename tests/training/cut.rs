@@ -53,7 +53,7 @@ fn threads_that_join_later_get_slots_from_the_next_iteration_on_and_change_no_re
     let launch = launch_of(joined.path(), 5, 0);
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
-    let exchange = Exchange::new(run, lease, audit, crate::toy::states());
+    let exchange = Exchange::new(run, lease, audit, crate::hopper::states());
     let actors = Arc::new(Mutex::new(Vec::new()));
     let (join, all) = (Arc::clone(&exchange), Arc::clone(&actors));
     let observer = Box::new(move |event: &Event| {

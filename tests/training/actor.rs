@@ -1,4 +1,4 @@
-//! Actor threads that step the toy environment for an exchange until the run is done.
+//! Actor threads that step the hopper for an exchange until the run is done.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use proto::{
     TrajectoryChunk, Work,
 };
 
-use crate::toy;
+use crate::hopper;
 
 /// Running actor threads.
 pub(crate) struct ActorThreads {
@@ -64,10 +64,10 @@ fn work(exchange: &Exchange, connection: ConnectionId, stop: &AtomicBool) {
 /// Registers with the run's fingerprint.
 pub(crate) fn registration(run: &RunDescription) -> Registration {
     Registration {
-        client: "toy".to_owned(),
+        client: "test".to_owned(),
         build: run.build.clone(),
         protocol_version: PROTOCOL_VERSION,
-        environment: toy::environment(),
+        environment: hopper::environment(),
         rollout_fingerprint: Some(run.rollout_fingerprint),
         process: None,
     }
@@ -79,7 +79,7 @@ fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, 
     let policy = PolicySnapshot::from_bytes(&weights.bytes).unwrap();
     match &lease.work {
         Work::Rollout(work) => {
-            for chunk in toy::roll_out(run, &policy, work) {
+            for chunk in hopper::roll_out(run, &policy, work) {
                 let header = PushHeader::of(lease, chunk.digest(&work.origin()));
                 if push(exchange, connection, &header, chunk).is_err() {
                     return;
@@ -87,7 +87,7 @@ fn perform(exchange: &Exchange, connection: ConnectionId, run: &RunDescription, 
             }
         }
         Work::Evaluation(work) => {
-            let result = toy::evaluate(run, &policy, work);
+            let result = hopper::evaluate(run, &policy, work);
             let header = PushHeader::of(lease, result.digest(work.iteration));
             if let Ok(Preview::Next(check)) = exchange.expected(connection, &header, None) {
                 let _late = exchange.take(connection, &header, &check, ResultPart::Episode(result));

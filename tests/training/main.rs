@@ -1,4 +1,4 @@
-//! Whole runs without sockets: a toy environment, actors that call the exchange, and the trainer. The result depends
+//! Whole runs without sockets: actors that step a hopper and call the exchange, and the trainer. The result depends
 //! only on settings and seed.
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -7,9 +7,12 @@ mod canary;
 mod cut;
 mod end_states;
 mod film;
+#[expect(dead_code, reason = "the tests of rollouts also need policies")]
+#[path = "../../rollout/tests/rollout/fixture.rs"]
+mod fixture;
+mod hopper;
 mod one_slot;
 mod settings;
-mod toy;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -37,7 +40,7 @@ fn train_until(
 ) -> Result<Summary, LearnerError> {
     let (lease, audit) = (launch.config.lease, launch.config.audit);
     let (trainer, run) = launch::prepare(launch).unwrap();
-    let exchange = Exchange::new(run, lease, audit, toy::states());
+    let exchange = Exchange::new(run, lease, audit, hopper::states());
     let stopping = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stopping);
     let observer = Box::new(move |event: &Event| {

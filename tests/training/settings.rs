@@ -1,6 +1,6 @@
 //! Settings of a small run: 4 environments x 8 steps, two slots, small networks.
 
-#[path = "../../../marl/tests/fixture/settings.rs"]
+#[path = "../../marl/tests/fixture/settings.rs"]
 mod small;
 
 use std::path::Path;
@@ -16,7 +16,7 @@ use policy::{CoreKind, RunSeed};
 use proto::Digest;
 use serde_json::json;
 
-use crate::toy;
+use crate::hopper;
 
 /// A new run.
 pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
@@ -25,15 +25,15 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         training: training(),
         observations: marl::ObservationScale::AsShown,
         policy: small::policy(CoreKind::Gru),
-        environment: toy::environment(),
+        environment: hopper::environment(),
         task_settings: "{}".to_owned(),
-        states: toy::states(),
+        states: hopper::states(),
         divergence_remedy: String::new(),
         seed: RunSeed(7),
         iterations,
-        run_id: "toy".to_owned(),
+        run_id: "hopper".to_owned(),
         folder: folder.to_path_buf(),
-        config_toml: "task = \"toy\"\n".to_owned(),
+        config_toml: "task = \"hopper-2x1\"\n".to_owned(),
         config_sha256: Digest([1; 32]),
         build: "test".to_owned(),
         rollout_fingerprint: Digest([2; 32]),

@@ -9,7 +9,7 @@ use proto::{PushHeader, Reason, Refusal, TrajectoryChunk};
 use crate::actor::push;
 use crate::one_slot::{exchange, lease, origin, rolled_out};
 use crate::settings::{launch_in, resumed};
-use crate::{toy, train};
+use crate::{hopper, train};
 
 /// The answer to the last chunk of a slot whose end states `change` has changed.
 fn answer(change: impl Fn(&mut TrajectoryChunk)) -> Option<Refusal> {
@@ -36,8 +36,8 @@ fn end_states_that_cannot_be_decoded_or_do_not_continue_the_episodes_are_refused
     type Change = fn(&mut TrajectoryChunk);
     let changes: [(Change, usize, &str); 4] = [
         (|chunk| states(chunk)[1].truncate(9), 1, "it has 9 bytes"),
-        (|chunk| states(chunk)[0][8] = 7, 0, "step 5 of 10 of episode 7"),
-        (|chunk| states(chunk)[1][16] = 9, 1, "its environment is at step 8 of 10 of episode 0"),
+        (|chunk| states(chunk)[0][12] = 7, 0, "step 5 of 10 of episode 7"),
+        (|chunk| states(chunk)[1][20] = 9, 1, "its environment is at step 8 of 10 of episode 0"),
         (|chunk| states(chunk).swap(0, 1), 0, "its environment is at step 5 of 10 of episode 1"),
     ];
     for (change, environment, detail) in changes {
@@ -60,7 +60,7 @@ fn a_run_goes_on_from_a_checkpoint_whose_states_nothing_can_restore_with_the_sam
     };
     // A resume first reads the states of the checkpoint, one for each of the four environments.
     let rejects = || {
-        let strict = toy::states();
+        let strict = hopper::states();
         let checked = std::sync::atomic::AtomicUsize::new(0);
         StateReader::new(move |state| {
             match checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) {
@@ -69,7 +69,7 @@ fn a_run_goes_on_from_a_checkpoint_whose_states_nothing_can_restore_with_the_sam
             }
         })
     };
-    let [undisturbed, first, second] = [toy::states(), rejects(), rejects()].map(finished);
+    let [undisturbed, first, second] = [hopper::states(), rejects(), rejects()].map(finished);
     assert_eq!(first, second);
     assert_ne!(first, undisturbed);
 }

@@ -15,8 +15,8 @@ use proto::{
 };
 
 use crate::actor::registration;
+use crate::hopper;
 use crate::settings::launch_in;
-use crate::toy;
 
 /// Rolls out a slot in which the first environment's episode ends with step 2, in the middle of a block of two steps.
 pub(crate) fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
@@ -27,7 +27,7 @@ pub(crate) fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec
     let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
     let policy = algorithm.snapshot().unwrap();
     let run = launch::prepare(launch).unwrap().1;
-    let chunks = toy::roll_out(&run, &policy, &work());
+    let chunks = hopper::roll_out(&run, &policy, &work());
     (run, policy, chunks)
 }
 
@@ -49,7 +49,7 @@ pub(crate) fn origin() -> RolloutOrigin {
 pub(crate) fn exchange(run: RunDescription, policy: &PolicySnapshot) -> Arc<Exchange> {
     let lease = LeaseConfig { ttl_secs: 20.0 };
     let audit = AuditConfig { share: 0.0, fingerprint: Fingerprint::Optional };
-    let exchange = Exchange::new(run, lease, audit, toy::states());
+    let exchange = Exchange::new(run, lease, audit, hopper::states());
     exchange.publish(PolicyVersion(0), policy.to_bytes().unwrap().into()).unwrap();
     exchange.open_iteration(0, PolicyVersion(0), vec![work()]);
     exchange
