@@ -101,7 +101,6 @@ fn an_audited_slot_is_recomputed_by_another_actor_and_counted_if_it_agrees() {
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, a);
     assert!(matches!(complete(&mut table, &first)[..], [Effect::WorkFreed, Effect::Iteration(_)]));
-    assert_eq!(a.ask(&mut table), Ok(Offer::Nothing), "an actor does not audit itself");
     let audit = lease(&mut table, b);
     assert_eq!((slot(&audit), audit.attempt), (0, 1));
     // The audit stays open in the next iteration.
@@ -129,17 +128,6 @@ fn an_audit_that_differs_stops_the_run_and_names_both_actors() {
 }
 
 #[test]
-fn a_single_actor_is_not_audited() {
-    let mut table = audited_table(1);
-    let a = actor(&mut table, 1);
-    let first = lease(&mut table, a);
-    complete(&mut table, &first);
-    let b = actor(&mut table, 2);
-    assert_eq!(b.ask(&mut table), Ok(Offer::Nothing));
-    assert_eq!(table.counts().audits, audits(0, 0, 0));
-}
-
-#[test]
 fn an_audit_of_a_disconnected_actor_is_leased_again_and_the_oldest_of_too_many_is_skipped() {
     let mut table = audited_table(10);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
@@ -160,13 +148,14 @@ fn an_audit_of_a_disconnected_actor_is_leased_again_and_the_oldest_of_too_many_i
 }
 
 #[test]
-fn a_finished_run_counts_its_open_audits_as_skipped() {
+fn a_finished_run_answers_done_and_counts_its_open_audits_as_skipped() {
     let mut table = audited_table(1);
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let first = lease(&mut table, a);
     complete(&mut table, &first);
     let audit = lease(&mut table, b);
     table.finish();
+    assert_eq!(a.ask(&mut table), Ok(Offer::Done));
     assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 1), 0));
     assert_eq!(push(&mut table, &audit, 0).unwrap_err().reason, Reason::UnknownLease);
 }
@@ -185,24 +174,20 @@ fn a_slot_that_goes_on_with_its_backup_gets_no_other_backup_at_once() {
 }
 
 #[test]
-fn a_process_does_not_audit_itself_over_another_connection() {
-    let mut table = audited_table(1);
+fn a_slot_is_audited_only_by_another_process() {
+    let mut table = audited_table(2);
     let (a, same) = (actor_of(&mut table, 1, 1), actor_of(&mut table, 1, 2));
+    let first = lease(&mut table, a);
+    complete(&mut table, &first);
+    let counted = (table.footprint().open_audits, table.counts().audits);
+    assert_eq!(counted, (0, audits(0, 0, 0)), "no other process is connected");
     let other = actor_of(&mut table, 2, 3);
-    let first = lease(&mut table, a);
-    complete(&mut table, &first);
-    assert_eq!(same.ask(&mut table), Ok(Offer::Nothing));
-    assert_eq!(slot(&lease(&mut table, other)), 0);
-}
-
-#[test]
-fn no_slot_is_audited_while_only_one_process_is_connected() {
-    let mut table = audited_table(1);
-    let a = actor_of(&mut table, 1, 1);
-    actor_of(&mut table, 1, 2);
-    let first = lease(&mut table, a);
-    complete(&mut table, &first);
-    assert_eq!(table.footprint().open_audits, 0);
+    let second = lease(&mut table, a);
+    complete(&mut table, &second);
+    for own in [a, same] {
+        assert_eq!(own.ask(&mut table), Ok(Offer::Nothing), "it computed the slot");
+    }
+    assert_eq!(slot(&lease(&mut table, other)), 1);
 }
 
 #[test]

@@ -53,31 +53,20 @@ fn a_lease_without_messages_expires_after_its_time_to_live_and_the_slot_starts_a
 }
 
 #[test]
-fn heartbeats_without_chunks_extend_a_lease_only_for_a_limited_time() {
-    let mut table = table(1);
-    let a = actor(&mut table, 1);
-    let lease = lease(&mut table, a);
-    push(&mut table, &lease, 0).unwrap();
-    for time in 1..8 {
-        table.tick(second(15 * time));
-        assert!(beat(&mut table, a, &lease, 5 * time as u32), "{time}");
+fn heartbeats_extend_a_lease_only_for_a_limited_time() {
+    // A slot without chunks for six times to live, an episode whose steps rise for ninety.
+    for (slots, times) in [(1, 6), (0, 90)] {
+        let mut table = table(slots);
+        table.open_evaluation(0, weights(), 1);
+        let a = actor(&mut table, 1);
+        let lease = lease(&mut table, a);
+        for step in 1..times * 20 / 15 {
+            table.tick(second(15 * u64::from(step)));
+            assert!(beat(&mut table, a, &lease, step), "{step}");
+        }
+        table.tick(times * TTL);
+        assert!(!beat(&mut table, a, &lease, 50));
     }
-    table.tick(6 * TTL);
-    assert!(!beat(&mut table, a, &lease, 50));
-}
-
-#[test]
-fn an_evaluation_lease_is_extended_while_steps_rise_but_not_beyond_ninety_times_to_live() {
-    let mut table = table(0);
-    table.open_evaluation(0, weights(), 1);
-    let a = actor(&mut table, 1);
-    let lease = lease(&mut table, a);
-    for time in 1..120 {
-        table.tick(second(15 * time));
-        assert!(beat(&mut table, a, &lease, time as u32), "{time}");
-    }
-    table.tick(90 * TTL);
-    assert!(!beat(&mut table, a, &lease, 121));
 }
 
 #[test]
@@ -107,14 +96,11 @@ fn another_incarnation_and_an_unknown_actor_are_refused() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let other = Incarnation(10);
-    assert_eq!(
-        table.lease(a.connection, a.id, other).unwrap_err().reason,
-        Reason::OtherIncarnation
-    );
-    assert_eq!(
-        table.lease(a.connection, ActorId(99), INCARNATION).unwrap_err().reason,
-        Reason::UnknownActor
-    );
+    for (id, incarnation, reason) in
+        [(a.id, other, Reason::OtherIncarnation), (ActorId(99), INCARNATION, Reason::UnknownActor)]
+    {
+        assert_eq!(table.lease(a.connection, id, incarnation).unwrap_err().reason, reason);
+    }
     let mut lease = lease(&mut table, a);
     lease.incarnation = other;
     assert_eq!(push(&mut table, &lease, 0).unwrap_err().reason, Reason::OtherIncarnation);
@@ -153,14 +139,6 @@ fn leases_of_an_iteration_end_when_the_next_one_opens() {
     table.effects();
     let lease = lease(&mut table, a);
     assert!(matches!(complete(&mut table, &lease)[..], [Effect::Iteration(_)]));
-}
-
-#[test]
-fn a_finished_run_answers_done() {
-    let mut table = table(2);
-    let a = actor(&mut table, 1);
-    table.finish();
-    assert_eq!(a.ask(&mut table), Ok(Offer::Done));
 }
 
 #[test]
