@@ -1,20 +1,30 @@
-//! The process: its runtime, threads, stop signals, output and log lines.
+//! This process: its runtime, threads, limits, output and log lines; the stop requests that end it; and why a child process
+//! failed.
+//!
+//! The first Ctrl-C, SIGTERM or SIGHUP ends a process cleanly, the second Ctrl-C or SIGTERM immediately with status 128 plus its
+//! number. The end of the parent process is also a stop request.
 
 pub(crate) mod output;
 pub(crate) mod shell;
-pub(crate) mod signals;
 pub(crate) mod target;
 
-use std::time::SystemTime;
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitStatus;
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Context as _;
+use learner::store::plain_file;
 use tokio::runtime::{Builder, Runtime};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::watch;
 
 /// Prepares the process for what the system may limit or stop.
 pub(crate) fn prepare() -> anyhow::Result<()> {
     report_limit();
     check_clock(SystemTime::now())?;
-    signals::survive_file_size_limit()
+    survive_file_size_limit()
 }
 
 /// Refuses a time before 1970, which HTTP and TLS cannot express: their libraries panic.
@@ -60,6 +70,180 @@ fn is_limit(panic: &str) -> bool {
     PANICS.iter().any(|known| panic.starts_with(known))
 }
 
+/// What shells add to a signal's number to name a process that it ended.
+const ENDED_BY_SIGNAL: i32 = 128;
+
+/// The number of SIGXFSZ, the same on Linux, macOS and the BSDs for x86 and ARM.
+const FILE_SIZE: i32 = 25;
+
+/// Sets `stop` at the first signal, after `announce`; exits at the second. Call inside a runtime.
+pub(crate) fn stop_on_signal(
+    stop: watch::Sender<bool>,
+    announce: impl FnOnce() + Send + 'static,
+) -> anyhow::Result<()> {
+    stop_on_repeated_signal(stop, Duration::ZERO, announce)
+}
+
+/// The same, but the signals that arrive within `repeated` after the first one are the same stop request.
+pub(crate) fn stop_on_repeated_signal(
+    stop: watch::Sender<bool>,
+    repeated: Duration,
+    announce: impl FnOnce() + Send + 'static,
+) -> anyhow::Result<()> {
+    let requests = Requests::listen()?;
+    tokio::spawn(requests.watch(stop, repeated, announce));
+    Ok(())
+}
+
+/// Sets `stop` when standard input closes. The pipe closes when the process at its other end ends, however that
+/// happens.
+pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
+    let until_closed = move || {
+        let mut ignored = [0; 256];
+        while std::io::stdin().lock().read(&mut ignored).is_ok_and(|count| count > 0) {}
+        stop.send_replace(true);
+    };
+    let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
+    // No thread waits for it; it ends with the process.
+    watcher.map(drop).context("cannot watch standard input")
+}
+
+/// Makes a write past a limit of file sizes (`ulimit -f`) an error, as on a full disk. By default SIGXFSZ ends the process.
+fn survive_file_size_limit() -> anyhow::Result<()> {
+    let runtime = Builder::new_current_thread().enable_io().build();
+    let runtime = runtime.context("cannot listen for signals")?;
+    let _entered = runtime.enter();
+    // Its handler remains until the process ends.
+    signal(SignalKind::from_raw(FILE_SIZE)).map(drop).context("cannot listen for SIGXFSZ")
+}
+
+/// The signals that ask a process to stop.
+struct Requests {
+    interrupt: Signal,
+    terminate: Signal,
+    /// `None` if SIGHUP is ignored, as `nohup` has it.
+    hang_up: Option<Signal>,
+}
+
+impl Requests {
+    fn listen() -> anyhow::Result<Self> {
+        let hang_up = if is_ignored(SignalKind::hangup()) {
+            None
+        } else {
+            Some(signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?)
+        };
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?,
+            terminate: signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?,
+            hang_up,
+        })
+    }
+
+    async fn watch(
+        mut self,
+        stop: watch::Sender<bool>,
+        repeated: Duration,
+        announce: impl FnOnce(),
+    ) {
+        let kind = self.first().await;
+        announce();
+        stop.send_replace(true);
+        if kind == SignalKind::hangup() {
+            // A session that ends sends SIGHUP more than once, and SIGTERM besides.
+            self.repeated().await;
+        }
+        let first = Instant::now();
+        let mut second = self.repeated().await;
+        while first.elapsed() < repeated {
+            second = self.repeated().await;
+        }
+        std::process::exit(ENDED_BY_SIGNAL + second.as_raw_value());
+    }
+
+    /// The next of the three signals.
+    async fn first(&mut self) -> SignalKind {
+        let hung_up = async {
+            match &mut self.hang_up {
+                Some(signal) => signal.recv().await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            _ = self.interrupt.recv() => SignalKind::interrupt(),
+            _ = self.terminate.recv() => SignalKind::terminate(),
+            _ = hung_up => SignalKind::hangup(),
+        }
+    }
+
+    /// The next of the two signals that may end the process at once.
+    async fn repeated(&mut self) -> SignalKind {
+        tokio::select! {
+            _ = self.interrupt.recv() => SignalKind::interrupt(),
+            _ = self.terminate.recv() => SignalKind::terminate(),
+        }
+    }
+}
+
+/// Whether the process was started with this signal ignored; only Linux tells.
+fn is_ignored(kind: SignalKind) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask & (1 << (kind.as_raw_value() - 1)) != 0
+}
+
+/// Levels of log lines that report no failure.
+const HARMLESS: [&str; 4] = ["WARN", "INFO", "DEBUG", "TRACE"];
+
+/// Start of the line that follows the message of a panic.
+const BACKTRACE: &str = "note: run with `RUST_BACKTRACE";
+
+/// Signal of `abort`, which follows an error message.
+const ABORTED: i32 = 6;
+
+/// The log that a process appends to, and its length when the process started.
+pub(crate) struct ProcessLog {
+    path: PathBuf,
+    from: u64,
+}
+
+impl ProcessLog {
+    /// Notes the length of the log before the process starts.
+    pub(crate) fn before_start(path: &Path) -> Self {
+        let from = path.metadata().map_or(0, |found| found.len());
+        Self { path: path.to_path_buf(), from }
+    }
+
+    /// The exit status, with the last error that the process reported. A process that a signal killed had no chance to
+    /// report its cause.
+    pub(crate) fn cause(&self, status: ExitStatus) -> String {
+        let killed = status.signal().is_some_and(|signal| signal != ABORTED);
+        match self.error().filter(|_| !killed) {
+            Some(error) => format!("{status}: {error}"),
+            None => status.to_string(),
+        }
+    }
+
+    /// The last line that is neither blank nor a log line of a harmless level.
+    fn error(&self) -> Option<String> {
+        let mut file = plain_file::reader(&self.path).ok()?;
+        file.seek(SeekFrom::Start(self.from)).ok()?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).ok()?;
+        let text = String::from_utf8_lossy(&bytes);
+        let is_error = |line: &&str| !line.trim().is_empty() && !is_harmless(line);
+        text.lines().rev().find(is_error).map(|line| line.trim().to_owned())
+    }
+}
+
+/// Whether a line is a log line, `TIME LEVEL MESSAGE`, of a level that reports no failure, or the advice after a panic.
+fn is_harmless(line: &str) -> bool {
+    let mut words = line.split_whitespace();
+    let dated = words.next().is_some_and(|time| time.ends_with('Z') && time.contains('T'));
+    let harmless = dated && words.next().is_some_and(|level| HARMLESS.contains(&level));
+    harmless || line.starts_with(BACKTRACE)
+}
+
 #[cfg(test)]
 mod tests {
     use std::time::Duration;
@@ -83,5 +267,40 @@ mod tests {
         let panic = std::panic::catch_unwind(start).unwrap_err();
         let text = panic.downcast_ref::<String>().unwrap();
         assert!(is_limit(text), "{text}");
+    }
+
+    const EARLIER: &str = "error: an earlier process\n";
+    const INFO: &str = "2026-01-31T23:59:59.123456Z  INFO registered with the learner run=a\n";
+    const ERROR: &str = "2026-01-31T23:59:59.123456Z ERROR the weights are damaged\n";
+
+    /// The cause of a process that ended with the wait status `raw` and appended `text` to its log.
+    fn cause(text: &str, raw: i32) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("actor_0.log");
+        std::fs::write(&path, EARLIER).unwrap();
+        let own_log = ProcessLog::before_start(&path);
+        std::fs::write(&path, format!("{EARLIER}{text}")).unwrap();
+        own_log.cause(ExitStatus::from_raw(raw))
+    }
+
+    #[test]
+    fn the_cause_is_the_signal_or_the_last_error_or_panic_of_the_process_itself_or_its_status() {
+        let panic = "thread 'step' panicked at src/a.rs:1:1:\nno slot 3\n\
+                     note: run with `RUST_BACKTRACE=1` environment variable to display a backtrace\n";
+        for (text, raw, expected) in [
+            (format!("{ERROR}{INFO}"), 1 << 8, format!("exit status: 1: {}", ERROR.trim())),
+            (format!("{INFO}error: no task\n\n"), 2 << 8, "exit status: 2: error: no task".into()),
+            (panic.to_owned(), 101 << 8, "exit status: 101: no slot 3".into()),
+            (INFO.to_owned(), 1 << 8, "exit status: 1".into()),
+            (String::new(), 1 << 8, "exit status: 1".into()),
+            (format!("{ERROR}{INFO}"), 9, "signal: 9 (SIGKILL)".into()),
+            (
+                format!("{INFO}memory allocation of 8 bytes failed\n"),
+                ABORTED,
+                "signal: 6 (SIGABRT): memory allocation of 8 bytes failed".into(),
+            ),
+        ] {
+            assert_eq!(cause(&text, raw), expected);
+        }
     }
 }

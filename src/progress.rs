@@ -15,25 +15,69 @@ use crate::process::output;
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
 
+/// Layout of a run's bar.
+const BAR: &str = "{bar:40.cyan/black} {human_pos}/{human_len} steps ({percent} %)\n{wide_msg}";
+
+/// A bar if stdout is a terminal, plain lines elsewhere.
+pub(crate) enum Screen {
+    /// The bar.
+    Bar(ProgressBar),
+    /// Time between two plain lines, and when the last one was due.
+    Lines(Duration, Option<Instant>),
+}
+
+impl Screen {
+    /// For `total` steps; `layout` is that of the bar.
+    pub(crate) fn new(total: u64, layout: &str, line_period: Duration) -> Self {
+        if !std::io::stdout().is_terminal() {
+            return Self::Lines(line_period, None);
+        }
+        let bars = output::bars();
+        bars.set_draw_target(ProgressDrawTarget::stdout());
+        Self::Bar(bars.add(styled(ProgressBar::new(total), layout)))
+    }
+
+    /// Whether to show something at `now`: on a bar always, else when the next plain line is due.
+    pub(crate) fn is_due(&mut self, now: Instant) -> bool {
+        let Self::Lines(period, last) = self else { return true };
+        let is_due = last.is_none_or(|last| now.duration_since(last) >= *period);
+        if is_due {
+            *last = Some(now);
+        }
+        is_due
+    }
+
+    /// Prints a line, above the bar.
+    pub(crate) fn line(&self, text: &str) {
+        match self {
+            Self::Bar(bar) if !bar.is_finished() => bar.println(text),
+            _ => output::line(text),
+        }
+    }
+
+    fn clear(&self) {
+        if let Self::Bar(bar) = self {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
 /// Shows the events of one run.
 pub(crate) struct Progress {
     recent: RecentIterations,
     screen: Screen,
 }
 
-enum Screen {
-    Bar(ProgressBar),
-    Lines { last: Option<Instant> },
-}
-
 impl Progress {
-    /// For a run of `total` env steps; a bar if stdout is a terminal.
+    /// For a run of `total` env steps.
     pub(crate) fn new(total: u64) -> Self {
-        let screen = if std::io::stdout().is_terminal() {
-            Screen::Bar(bar(total))
-        } else {
-            Screen::Lines { last: None }
-        };
+        let screen = Screen::new(total, BAR, LINE_PERIOD);
         Self { recent: RecentIterations::new(total), screen }
     }
 
@@ -44,29 +88,24 @@ impl Progress {
             Event::Iteration(_) => self.iteration(),
             Event::Collecting { env_steps, .. } => self.collecting(*env_steps),
             Event::Waiting { .. } | Event::Evaluation(_) => {
-                self.line(&notice(event).unwrap_or_default());
+                self.screen.line(&notice(event).unwrap_or_default());
             }
             Event::Stage(_) | Event::Checkpoint(_) | Event::CheckpointFailed { .. } => {}
         }
         if self.recent.is_complete() {
-            self.clear();
+            self.screen.clear();
         }
     }
 
     fn iteration(&mut self) {
-        let now = Instant::now();
-        match &mut self.screen {
+        let is_due = self.screen.is_due(Instant::now()) || self.recent.is_complete();
+        match &self.screen {
             Screen::Bar(bar) => {
                 bar.set_position(self.recent.env_steps());
                 bar.set_message(self.recent.figures());
             }
-            Screen::Lines { last } => {
-                let due = last.is_none_or(|last| now.duration_since(last) >= LINE_PERIOD);
-                if due || self.recent.is_complete() {
-                    *last = Some(now);
-                    output::line(self.recent.line());
-                }
-            }
+            Screen::Lines(..) if is_due => output::line(self.recent.line()),
+            Screen::Lines(..) => {}
         }
     }
 
@@ -75,32 +114,6 @@ impl Progress {
             bar.set_position(env_steps);
         }
     }
-
-    fn line(&self, text: &str) {
-        match &self.screen {
-            Screen::Bar(bar) if !bar.is_finished() => bar.println(text),
-            _ => output::line(text),
-        }
-    }
-
-    fn clear(&self) {
-        if let Screen::Bar(bar) = &self.screen {
-            bar.finish_and_clear();
-        }
-    }
-}
-
-impl Drop for Progress {
-    fn drop(&mut self) {
-        self.clear();
-    }
-}
-
-fn bar(total: u64) -> ProgressBar {
-    let bars = output::bars();
-    bars.set_draw_target(ProgressDrawTarget::stdout());
-    let style = "{bar:40.cyan/black} {human_pos}/{human_len} steps ({percent} %)\n{wide_msg}";
-    bars.add(styled(ProgressBar::new(total), style))
 }
 
 /// Iterations over which speed and phase shares are averaged.

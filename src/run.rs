@@ -3,7 +3,6 @@
 
 pub(crate) mod determinism;
 pub(crate) mod offered;
-pub(crate) mod process_log;
 pub(crate) mod resume;
 pub(crate) mod run_path;
 pub(crate) mod stored;
@@ -52,6 +51,11 @@ impl SettingsArguments {
     pub(crate) fn written(&self) -> Vec<String> {
         let url = self.environment.iter().map(|url| format!("environment_service.url={url}"));
         self.settings.iter().cloned().chain(url).collect()
+    }
+
+    /// The request for these settings, with this process's environment variables.
+    pub(crate) fn request(&self) -> Request {
+        Request::from_process(self.files.clone(), self.written())
     }
 }
 
@@ -132,14 +136,13 @@ pub(crate) fn prepare_or_resume(
 
 /// The configured folder, if it contains a run, whose own settings then hold.
 fn run_in_place(settings: &SettingsArguments) -> Result<Option<PathBuf>, ConfigError> {
-    let request = Request::from_process(settings.files.clone(), settings.written());
-    let resolved = layers::resolve(&request)?;
+    let resolved = layers::resolve(&settings.request())?;
     Ok(run_path::named(&resolved)?.filter(|folder| RunFolder::holds_run(folder)))
 }
 
 /// The settings of a new run, or those of `resumed` with permitted changes.
 fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Result<RunConfig> {
-    let mut request = Request::from_process(settings.files.clone(), settings.written());
+    let mut request = settings.request();
     let Some(folder) = resumed else {
         return Ok(RunConfig::of(&request)?);
     };

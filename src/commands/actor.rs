@@ -15,7 +15,7 @@ use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
 use crate::endpoints::{self, ClientTlsArguments};
 use crate::errors::Usage;
-use crate::process::{runtime, signals};
+use crate::process::{self, runtime};
 use crate::run::BUILD;
 
 /// `s2mia actor`
@@ -72,10 +72,10 @@ pub(super) fn run(arguments: ActorArguments) -> anyhow::Result<()> {
     let config = configure(arguments)?;
     let (stop_sender, stop) = watch::channel(false);
     if with_stdin {
-        signals::stop_with_stdin(stop_sender.clone())?;
+        process::stop_with_stdin(stop_sender.clone())?;
     }
     runtime()?.block_on(async {
-        signals::stop_on_signal(stop_sender, || tracing::info!("stopping"))?;
+        process::stop_on_signal(stop_sender, || tracing::info!("stopping"))?;
         actor::run(config, stop).await.context("the actor failed")
     })
 }

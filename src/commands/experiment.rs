@@ -16,7 +16,7 @@ use crate::experiment::submit::{self, Jobs, SlurmOptions};
 use crate::experiment::{
     PlannedRun, Selection, Shard, plan, remarks, report, run_state, scheduler,
 };
-use crate::process::{output, runtime, shell, signals, target};
+use crate::process::{self, output, runtime, shell, target};
 use crate::run::run_path::Others;
 
 /// `s2mia experiment`
@@ -211,7 +211,7 @@ fn others(arguments: &ExperimentArguments) -> Others {
 
 async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Tally, bool)> {
     let (stop_sender, stop) = watch::channel(false);
-    signals::stop_on_repeated_signal(stop_sender, REPEATED, || {
+    process::stop_on_repeated_signal(stop_sender, REPEATED, || {
         output::line(
             "stopping after a checkpoint of each run; Ctrl-C again, two seconds later, ends at once",
         );

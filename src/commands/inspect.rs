@@ -6,15 +6,14 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
+use crate::config::effect;
 use crate::config::run_config::RunConfig;
-use crate::config::{Request, effect};
 use crate::process::output;
 use crate::run::{SettingsArguments, stored};
 
 /// Prints TOML that `--config` can read again.
 pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
-    let request = Request::from_process(arguments.files.clone(), arguments.written());
-    let config = RunConfig::of(&request)?;
+    let config = RunConfig::of(&arguments.request())?;
     output::line(config.resolved.to_toml_with_origins(effect::remarks(&config)));
     output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));
     Ok(())

@@ -9,7 +9,7 @@ use security::ServerTls;
 use tokio::sync::watch;
 
 use crate::endpoints::{self, Listening, PageArguments, ServerTlsArguments};
-use crate::process::{output, runtime, signals};
+use crate::process::{self, output, runtime};
 use crate::progress::Progress;
 use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments};
 
@@ -50,7 +50,7 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
     // Before the launch, which takes a moment, so that a stop is never lost.
     runtime.block_on(async {
-        signals::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))
+        process::stop_on_signal(stop_sender, || output::line("stopping after a checkpoint"))
     })?;
     let prepared =
         run::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;

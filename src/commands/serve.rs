@@ -16,7 +16,7 @@ use tokio::sync::watch;
 
 use crate::endpoints::{Listening, ServerTlsArguments};
 use crate::errors::Usage;
-use crate::process::{output, runtime, signals};
+use crate::process::{self, output, runtime};
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::config_of_run;
 use crate::run::{run_path, stored};
@@ -58,7 +58,7 @@ async fn serve(run: &Path, served: ServedPolicies, listening: Listening) -> anyh
     let version = served.newest.borrow().name.version;
     output::line(format!("{} serves its policies of iteration {version} on {url}", run.display()));
     let (stop_sender, stop) = watch::channel(false);
-    signals::stop_on_signal(stop_sender, || output::line("stopping"))?;
+    process::stop_on_signal(stop_sender, || output::line("stopping"))?;
     serve_policies(served, listener, stop).await.context("the service ended")
 }
 

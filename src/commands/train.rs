@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use crate::config::run_config::RunConfig;
 use crate::endpoints::PageArguments;
 use crate::figures::{chart, learning_curve};
-use crate::process::{output, runtime, shell, signals};
+use crate::process::{self, output, runtime, shell};
 use crate::progress::Progress;
 use crate::run::supervisor::ActorProcesses;
 use crate::run::{
@@ -56,19 +56,19 @@ pub(crate) struct TrainArguments {
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
+    if let Some(iterations) = arguments.verify_determinism {
+        return determinism::verify(&arguments.settings, iterations);
+    }
     arguments.page.check(None)?;
     let mut prepared =
         run::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     let audit = &mut prepared.launch.config.audit;
     *audit = audit.with_own_actors();
-    if let Some(iterations) = arguments.verify_determinism {
-        return determinism::verify(&arguments.settings, iterations);
-    }
     let PreparedRun { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
     let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
-        signals::stop_with_stdin(stop_sender.clone())?;
+        process::stop_with_stdin(stop_sender.clone())?;
     }
     runtime()?.block_on(train(prepared, &arguments.page, stop_sender, stop))
 }
@@ -87,7 +87,7 @@ async fn train(
     let processes = processes(&config, &folder, &listener, token.clone())?;
     let listener = Listener::from(listener).with_token(token, &folder);
     let (end, ended) = watch::channel(false);
-    signals::stop_on_signal(stop_sender.clone(), || {
+    process::stop_on_signal(stop_sender.clone(), || {
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
     })?;
     let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));

@@ -3,13 +3,11 @@
 
 use std::collections::VecDeque;
 use std::fs::{File, TryLockError};
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use learner::store::plain_file;
 use tokio::process::{Child, Command};
 use tokio::sync::watch;
@@ -18,8 +16,8 @@ use tokio::task::JoinSet;
 use super::PlannedRun;
 use super::run_state::{Ending, RunFolderState, is_finished, mismatch, run_state};
 use crate::figures::chart;
-use crate::process::output;
-use crate::run::process_log::ProcessLog;
+use crate::process::{ProcessLog, output};
+use crate::progress::Screen;
 
 /// Poll interval for the progress of runs and for a locked log.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
@@ -166,6 +164,9 @@ fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
 /// Time between two plain lines.
 const LINE_PERIOD: Duration = Duration::from_secs(30);
 
+/// Layout of the bar.
+const BAR: &str = "{bar:40.cyan/black} {percent} %\n{wide_msg}";
+
 /// Shows how far an experiment is.
 pub(crate) struct ExperimentProgress {
     begin: Instant,
@@ -174,11 +175,6 @@ pub(crate) struct ExperimentProgress {
     /// Environment steps that were done before.
     steps_before: u64,
     screen: Screen,
-}
-
-enum Screen {
-    Bar(ProgressBar),
-    Lines { last: Instant },
 }
 
 /// How far an experiment is.
@@ -195,26 +191,22 @@ struct Figures {
 }
 
 impl ExperimentProgress {
-    /// Before the first run starts; a bar if stdout is a terminal.
+    /// Before the first run starts.
     pub(crate) fn new(runs: &[PlannedRun]) -> Self {
         let begin = Instant::now();
         let known: Vec<RunFolderState> = runs.iter().map(run_state).collect();
         let (done, total) = steps(runs, &known);
-        let screen = if std::io::stdout().is_terminal() {
-            Screen::Bar(bar(total))
-        } else {
-            Screen::Lines { last: begin }
-        };
+        let mut screen = Screen::new(total, BAR, LINE_PERIOD);
+        // The first plain line follows after one period.
+        screen.is_due(begin);
         Self { begin, known, steps_before: done, screen }
     }
 
     /// Shows how far `runs` are, of which `going` are at work.
     pub(crate) fn show(&mut self, runs: &[PlannedRun], going: usize) {
         let now = Instant::now();
-        match &mut self.screen {
-            Screen::Lines { last } if now.duration_since(*last) < LINE_PERIOD => return,
-            Screen::Lines { last } => *last = now,
-            Screen::Bar(_) => {}
+        if !self.screen.is_due(now) {
+            return;
         }
         for (known, run) in self.known.iter_mut().zip(runs) {
             if *known != RunFolderState::Finished {
@@ -236,7 +228,7 @@ impl ExperimentProgress {
                 bar.set_position(env_steps);
                 bar.set_message(figures.words());
             }
-            Screen::Lines { .. } => output::line(figures.words()),
+            Screen::Lines(..) => output::line(figures.words()),
         }
     }
 
@@ -248,18 +240,7 @@ impl ExperimentProgress {
             Ending::Failed(why) => format!("{} failed: {why}", run.name()),
             Ending::Misplaced(why) => format!("{} cannot begin: {why}", run.name()),
         };
-        match &self.screen {
-            Screen::Bar(bar) => bar.println(line),
-            Screen::Lines { .. } => output::line(line),
-        }
-    }
-}
-
-impl Drop for ExperimentProgress {
-    fn drop(&mut self) {
-        if let Screen::Bar(bar) = &self.screen {
-            bar.finish_and_clear();
-        }
+        self.screen.line(&line);
     }
 }
 
@@ -288,14 +269,6 @@ fn steps(runs: &[PlannedRun], known: &[RunFolderState]) -> (u64, u64) {
     let total = |run: &PlannedRun| run.config.env_steps();
     let done = runs.iter().zip(known).map(|(run, known)| known.env_steps(total(run))).sum();
     (done, runs.iter().map(total).sum())
-}
-
-fn bar(total: u64) -> ProgressBar {
-    let bars = output::bars();
-    bars.set_draw_target(ProgressDrawTarget::stdout());
-    let style = ProgressStyle::with_template("{bar:40.cyan/black} {percent} %\n{wide_msg}");
-    let style = style.expect("the template is well formed").progress_chars("━╸─");
-    bars.add(ProgressBar::new(total).with_style(style))
 }
 
 #[cfg(test)]

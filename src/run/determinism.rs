@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use anyhow::Context as _;
 use learner::store::checkpoint;
 
+use crate::config::run_config::RunConfig;
 use crate::process::output;
 use crate::run::SettingsArguments;
 
@@ -14,11 +15,13 @@ use crate::run::SettingsArguments;
 const TRIALS: [(&str, usize, Option<u64>); 3] =
     [("1 actor", 1, None), ("2 actors", 2, None), ("2 actors, stopped and resumed", 2, Some(1))];
 
-/// Runs all trials for `iterations` and prints the final state of each.
+/// Checks the settings, runs all trials for `iterations` and prints the final state of each.
 ///
 /// # Errors
-/// A trial failed, or the states differ.
+/// A setting is refused, a trial failed, or the states differ.
 pub(crate) fn verify(settings: &SettingsArguments, iterations: u64) -> anyhow::Result<()> {
+    // A trial would report a setting that cannot be used as its own failure.
+    RunConfig::of(&settings.request())?;
     let place = Scratch::make()?;
     let mut states = Vec::new();
     for (index, (name, actors, stop)) in TRIALS.into_iter().enumerate() {

@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::errors::ENVIRONMENT_OUTAGE;
-use crate::run::process_log::ProcessLog;
+use crate::process::ProcessLog;
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
