@@ -1,4 +1,5 @@
-//! Writes what fuzzing begins with into `fuzz/corpus`: for each target a few inputs as the program itself makes them.
+//! Writes what fuzzing begins with into `fuzz/corpus`: for each target that reads a format
+//! a few inputs as the program itself makes them.
 
 #[path = "../../../proto/tests/wire/sample.rs"]
 mod sample;
@@ -7,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fuzz::{TASKS, recording, small_policy, world};
-use policy::randomness::{Draw, DrawKey, Purpose, RunSeed, generator};
+use policy::randomness::{Draw, DrawKey, Purpose, RunSeed};
 use policy::{CoreKind, PolicySnapshot};
 use prost::Message;
 use proto::wire::play_response::Answer;
@@ -27,9 +28,7 @@ fn main() {
         ("config", settings()),
         ("arrays", policies()),
         ("environment_state", states()),
-        ("checkpoint", noise()),
-        ("slots", noise()),
-        ("log", logs()),
+        ("log", vec![(Some(0), recording())]),
         ("environment_answers", answers()),
     ] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
@@ -129,12 +128,6 @@ fn states() -> Vec<Seed> {
     (0..).zip(TASKS).flat_map(both).collect()
 }
 
-/// A whole log, and changes of its messages.
-fn logs() -> Vec<Seed> {
-    let changes = noise().into_iter().map(|(_, bytes)| (Some(1), bytes));
-    std::iter::once((Some(0), recording())).chain(changes).collect()
-}
-
 /// A specification, and the answers to each request.
 fn answers() -> Vec<Seed> {
     let described =
@@ -156,14 +149,4 @@ fn answers() -> Vec<Seed> {
         (Some(2), steps.to_wire().encode_to_vec()),
         (Some(3), saved.encode_to_vec()),
     ]
-}
-
-/// Bytes for targets that read them as lists of events.
-fn noise() -> Vec<Seed> {
-    let bytes = |index: u32| {
-        let mut rng = generator(RunSeed(u64::from(index)), Draw::of(Purpose::Reset));
-        let bytes = (0..64 << index).map(|_| policy::randomness::uniform(&mut rng));
-        (None, bytes.map(|share: f32| (share * 255.0) as u8).collect())
-    };
-    (0..6).map(bytes).collect()
 }
