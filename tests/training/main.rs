@@ -148,30 +148,6 @@ fn a_resumed_run_equals_an_undisturbed_one_whatever_interrupted_it() {
 }
 
 #[test]
-fn a_checkpoint_that_cannot_be_written_does_not_affect_training_and_is_retried() {
-    let (whole, failing) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let undisturbed = train(launch_in(whole.path(), 4), 2);
-    let checkpoints = failing.path().join("checkpoints");
-    let block_one = move |event: &Event| {
-        match event {
-            Event::Iteration(report) if report.iteration == 2 => {
-                std::fs::write(&checkpoints, "no folder").unwrap();
-            }
-            Event::CheckpointFailed { .. } => std::fs::remove_file(&checkpoints).unwrap(),
-            _ => {}
-        }
-        false
-    };
-    let ended = train_until(launch_in(failing.path(), 4), 2, block_one).unwrap();
-    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
-    let lines = lines(failing.path(), "metrics.jsonl");
-    let iterations = lines.iter().filter(|line| line["kind"] == "iteration");
-    let failed: Vec<_> = iterations.map(|line| line["checkpoints_failed"].as_f64()).collect();
-    assert_eq!(failed, [0.0, 0.0, 1.0, 0.0].map(Some));
-    assert!(failing.path().join("checkpoints/iter_00000003").is_dir());
-}
-
-#[test]
 fn a_run_whose_folder_is_moved_ends_with_an_error_and_writes_nothing_in_its_place() {
     for is_replaced in [false, true] {
         let parent = tempfile::tempdir().unwrap();

@@ -120,30 +120,14 @@ mod tests {
         Evaluations::new(config, 4000, 30, BTreeSet::new())
     }
 
-    fn evaluated(iteration: u64) -> Evaluated {
-        Evaluated { iteration, policy: Bytes::from_static(b"policy") }
-    }
-
     #[test]
     fn the_start_the_end_and_every_multiple_are_due_once() {
         let mut all = evaluations(50_000);
         let due: Vec<u64> = (0..=30).filter(|iteration| all.due(*iteration)).collect();
         // 13 x 4,000 = 52,000 is the first above 50,000; 25 x 4,000 = 100,000 is exactly a multiple.
         assert_eq!(due, [0, 13, 25, 30]);
-        all.begin(evaluated(13));
+        all.begin(Evaluated { iteration: 13, policy: Bytes::new() });
         assert!(!all.due(13));
         assert_eq!((0..=30).filter(|iteration| evaluations(0).due(*iteration)).count(), 0);
-    }
-
-    #[test]
-    fn a_checkpoint_restores_an_evaluation_without_a_result() {
-        let mut before = evaluations(50_000);
-        before.begin(evaluated(13));
-        let mut after = evaluations(50_000);
-        after.restore(&before.arrays()).unwrap();
-        assert_eq!(after.outstanding(), Some(&evaluated(13)));
-        after.end(13);
-        assert_eq!(after.outstanding(), None);
-        assert_eq!(after.arrays(), before.arrays());
     }
 }

@@ -101,12 +101,6 @@ fn finals_are_sorted_by_step_and_environment() {
 }
 
 #[test]
-fn the_algorithm_accepts_the_batch() {
-    let batch = assemble(&run(), &[rollout(0), rollout(1)]);
-    batch.check(&problem(&run().environment), 2, &[1]).unwrap();
-}
-
-#[test]
 #[should_panic(expected = "rollouts are not all slots in order")]
 fn slots_in_the_wrong_order_panic() {
     let _never = assemble(&run(), &[rollout(1), rollout(0)]);

@@ -51,16 +51,6 @@ fn staggered_first_episodes_end_at_even_intervals() {
 }
 
 #[test]
-fn environments_are_numbered_over_all_slots() {
-    let work = Environments::fresh(&run(10), 6, Phase::Lockstep).work(7, 2);
-    let numbers: Vec<(u64, u32, Vec<u32>)> = work
-        .iter()
-        .map(|w| (w.iteration, w.slot, w.environments.iter().map(|e| e.environment).collect()))
-        .collect();
-    assert_eq!(numbers, [(7, 0, vec![0, 1]), (7, 1, vec![2, 3]), (7, 2, vec![4, 5])]);
-}
-
-#[test]
 fn an_episode_truncated_before_its_limit_is_counted_as_a_fault() {
     // Limits 2 and 4: environment 0 reaches its limit with step 1; the end of environment 1 after step 0 is a fault.
     let mut environments = fresh(4, Phase::Staggered);
@@ -102,17 +92,6 @@ fn the_next_iteration_continues_from_the_end_states_of_the_slots() {
     let first = Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.1, 0.2]] };
     let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
     assert_eq!(starts, [first, second]);
-}
-
-#[test]
-fn restored_environments_equal_the_originals() {
-    let mut kept = fresh(2, Phase::Lockstep);
-    for iteration in 0..3 {
-        let mut restored = fresh(2, Phase::Lockstep);
-        restored.restore(&kept.arrays(), iteration).unwrap();
-        assert_eq!(restored, kept);
-        kept.advance(&batch([0.5, 1.0, 0.25, 1.0, 2.0, 1.0], &[2, 5]), &[rollout()]);
-    }
 }
 
 #[test]
