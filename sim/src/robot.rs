@@ -15,6 +15,7 @@ mod neighbourhood;
 mod nesting;
 mod one_document;
 mod softness;
+mod surface;
 
 use serde::Deserialize;
 
@@ -23,12 +24,17 @@ use crate::scene::{LinkShape, parts};
 use crate::state::StateBounds;
 
 pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
-pub(crate) use blueprint::{Blueprint, JointPlan, LinkPlan, MotorPlan, ShapePlan};
+pub(crate) use blueprint::{
+    Blueprint, Cone, GroundForm, JointPlan, Law, LinkPlan, MotorPlan, ShapePlan,
+};
 pub(crate) use convex::Convex;
 pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;
+#[cfg(test)]
+pub(crate) use softness::Reference;
 pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
+pub(crate) use surface::{ContactOverride, ContactPlan, Surface};
 
 /// A robot: its model and the settings that MJCF does not contain.
 #[derive(Debug)]
@@ -55,19 +61,14 @@ pub(crate) struct Physics {
     pub(crate) contacts: SoftnessOverride,
     /// Distance at which contacts become active, m.
     pub(crate) margin: Option<f32>,
-    /// Part of the contacts' compliance that the engine's solver applies, in units of their inverse mass.
-    /// [`ContactLaw`](crate::world::ContactLaw) applies the rest, from the impulses of the last step.
+    /// Selects [`Law::Engine`], with this compliance.
     pub(crate) contact_compliance: Option<f32>,
 }
-
-/// `contact_compliance` of a robot that states none.
-const DEFAULT_COMPLIANCE: f32 = 0.1;
 
 /// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
     name: String,
     frame_skip: u32,
-    contact_compliance: f32,
     neighbourhood: Neighbourhood,
     blueprint: Blueprint,
     layout: Layout,
@@ -93,14 +94,14 @@ impl Robot {
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
         let Physics { integration, limits, contacts, margin, contact_compliance } = row.physics;
         blueprint.integration = integration.unwrap_or(blueprint.integration);
-        blueprint.soften(&contacts, margin, &limits);
-        let contact_compliance = contact_compliance.unwrap_or(DEFAULT_COMPLIANCE);
-        let (template, layout) =
-            assemble::assemble(&blueprint, contact_compliance).map_err(refused)?;
+        blueprint.soften(ContactOverride { softness: contacts, margin }, &limits);
+        if let Some(compliance) = contact_compliance {
+            blueprint.use_engine(compliance).map_err(refused)?;
+        }
+        let (template, layout) = assemble::assemble(&blueprint).map_err(refused)?;
         Ok(Self {
             name: row.name,
             frame_skip: row.frame_skip,
-            contact_compliance,
             neighbourhood: row.neighbourhood,
             blueprint,
             layout,
@@ -232,10 +233,6 @@ impl Robot {
 
     pub(crate) fn neighbourhood(&self) -> &Neighbourhood {
         &self.neighbourhood
-    }
-
-    pub(crate) fn contact_compliance(&self) -> f32 {
-        self.contact_compliance
     }
 
     pub(crate) fn frame_skip(&self) -> u32 {

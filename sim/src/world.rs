@@ -1,5 +1,6 @@
 //! One robot in one rapier world: rebuild, step, read.
 
+mod constraints;
 mod contact_law;
 mod diagnostics;
 mod hinge_drives;
@@ -8,17 +9,20 @@ use std::sync::Arc;
 
 use rapier3d::dynamics::{Multibody, MultibodyJoint};
 use rapier3d::math::{Pose, Rotation, Vector};
-use rapier3d::prelude::PhysicsWorld;
+use rapier3d::prelude::{MultibodyIndex, PhysicsWorld};
 
+pub(crate) use constraints::Constraints;
 pub(crate) use contact_law::ContactLaw;
 pub(crate) use hinge_drives::HingeDrives;
 
-use crate::robot::{JointMap, MapKind, Robot, empty_world, floating_joint};
+use crate::robot::{JointMap, Law, MapKind, Robot, empty_world, floating_joint};
 use crate::scene::{JointPose, LinkPose, parts};
 
-/// Physics steps that a rebuild runs and then undoes. The contact law reads the impulses of the last step; with this
-/// trial they are close to those of an uninterrupted world.
-const TRIAL_STEPS: u32 = 1;
+/// What enforces contacts and limits, with its state.
+enum Enforcer {
+    Constraints(Box<Constraints>),
+    Engine(ContactLaw),
+}
 
 /// One robot in one world.
 ///
@@ -28,7 +32,7 @@ pub struct World {
     robot: Arc<Robot>,
     physics: PhysicsWorld,
     drives: HingeDrives,
-    contacts: ContactLaw,
+    enforcer: Enforcer,
     /// Physics steps in an environment step.
     substeps: u32,
 }
@@ -41,11 +45,18 @@ impl World {
 
     /// As [`Self::new`], with every physics step split into `parts` shorter ones, for higher accuracy.
     pub fn refined(robot: Arc<Robot>, parts: u32) -> Self {
-        let physics = empty_world(robot.blueprint(), robot.contact_compliance(), parts);
+        let physics = empty_world(robot.blueprint(), parts);
         let step_secs = physics.integration_parameters.dt;
         let mut world = Self {
             drives: HingeDrives::new(robot.blueprint(), robot.layout(), step_secs),
-            contacts: ContactLaw::new(&robot, step_secs),
+            enforcer: match robot.blueprint().law {
+                Law::Constraints => {
+                    Enforcer::Constraints(Box::new(Constraints::new(&robot, step_secs)))
+                }
+                Law::Engine { compliance } => {
+                    Enforcer::Engine(ContactLaw::new(&robot, compliance, step_secs))
+                }
+            },
             physics,
             substeps: robot.frame_skip() * parts,
             robot: Arc::clone(&robot),
@@ -67,13 +78,16 @@ impl World {
         assert_eq!(coordinates.len(), self.robot.coordinate_names().len(), "coordinates");
         assert_eq!(velocities.len(), self.robot.velocity_names().len(), "velocities");
         self.start(coordinates, velocities);
-        for _ in 0..TRIAL_STEPS {
-            if !self.substep() {
-                // The motion is unstable and rapier has disabled bodies. The next real step must detect this itself.
-                self.start(coordinates, velocities);
-                break;
-            }
+        if let Enforcer::Constraints(_) = self.enforcer {
+            return;
+        }
+        // The contact law reads the impulses of the last step. After this trial, which is undone, they are close to those
+        // of an uninterrupted world.
+        if self.substep() {
             self.write(coordinates, velocities);
+        } else {
+            // The motion is unstable and rapier has disabled bodies. The next real step must detect this itself.
+            self.start(coordinates, velocities);
         }
     }
 
@@ -97,11 +111,21 @@ impl World {
         let set = &mut self.physics.multibody_joints;
         let robot = set.get_multibody_mut(layout.multibody).expect("the template holds the robot");
         self.drives.apply(robot, &layout.hinges);
-        self.contacts.observe(&self.robot, robot);
-        self.physics.step_with_events(&self.contacts, &());
+        let is_finite = match &mut self.enforcer {
+            Enforcer::Engine(contacts) => {
+                contacts.observe(&self.robot, robot);
+                self.physics.step_with_events(&*contacts, &());
+                true
+            }
+            Enforcer::Constraints(constraints) => {
+                constraints.observe(layout, robot, &self.physics.bodies);
+                self.physics.step_with_events(&**constraints, &());
+                constraints.complete(&self.robot, &mut self.physics)
+            }
+        };
         let robot = self.physics.multibody_joints.get_multibody(layout.multibody);
         self.drives.note(robot.expect("the template holds the robot"), &layout.hinges);
-        self.physics.quarantine().is_empty()
+        is_finite && self.physics.quarantine().is_empty()
     }
 
     /// Writes the generalised coordinates `[nq]` relative to the rest pose, m and rad.
@@ -173,8 +197,7 @@ impl World {
         let multibody = self.physics.multibody_joints.get_multibody_mut(index);
         let multibody = multibody.expect("the template holds the robot");
         multibody.forward_kinematics(&self.physics.bodies, true);
-        multibody.update_rigid_bodies(&mut self.physics.bodies, true);
-        self.move_colliders();
+        place(&mut self.physics, index);
     }
 
     fn multibody(&self) -> &Multibody {
@@ -228,15 +251,18 @@ impl World {
                 sign * velocities[joint.velocity + k];
         }
     }
+}
 
-    /// `update_rigid_bodies` leaves the colliders in the template's pose. Without this function the first step would
-    /// use the template's contacts and miss the floor.
-    fn move_colliders(&mut self) {
-        for (_, collider) in self.physics.colliders.iter_mut() {
-            let parent = collider.parent().and_then(|parent| self.physics.bodies.get(parent));
-            if let (Some(body), Some(inside)) = (parent, collider.position_wrt_parent().copied()) {
-                collider.set_position(*body.position() * inside);
-            }
+/// Moves bodies and colliders to the poses of a multibody's links. The engine leaves the colliders where they are, and the
+/// next step would use the contacts there.
+fn place(physics: &mut PhysicsWorld, index: MultibodyIndex) {
+    let multibody = physics.multibody_joints.get_multibody(index);
+    let multibody = multibody.expect("the template holds the robot");
+    multibody.update_rigid_bodies(&mut physics.bodies, true);
+    for (_, collider) in physics.colliders.iter_mut() {
+        let parent = collider.parent().and_then(|parent| physics.bodies.get(parent));
+        if let (Some(body), Some(inside)) = (parent, collider.position_wrt_parent().copied()) {
+            collider.set_position(*body.position() * inside);
         }
     }
 }
@@ -264,3 +290,6 @@ fn read_coordinates(multibody: &Multibody, joint: &JointMap, out: &mut [f32]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,9 +1,9 @@
-//! Builds a robot's template world in rapier: one multibody, one floor without a parent body, floor contacts only.
+//! Builds a robot's template world in rapier: one multibody, and fixed shapes without a parent body.
 
 use rapier3d::prelude::*;
 
 use super::blueprint::{
-    Blueprint, ContactPlan, Floor, Hinge, JointPlan, LinkPlan, Motion, ShapePlan,
+    Blueprint, GroundForm, GroundPlan, Hinge, JointPlan, Law, LinkPlan, Motion, ShapePlan,
 };
 use super::convex::Convex;
 use super::layout::Layout;
@@ -21,17 +21,17 @@ pub(crate) struct Template {
     pub(crate) multibody_joints: MultibodyJointSet,
 }
 
-const FLOOR: Group = Group::GROUP_1;
+const GROUND: Group = Group::GROUP_1;
 const ROBOT: Group = Group::GROUP_2;
+/// `Engine { compliance }` where the engine solves no contacts.
+const ANY_COMPLIANCE: f32 = 0.1;
 
 /// Builds the template in its rest pose, and the layout of the robot's coordinates in it.
-pub(super) fn assemble(
-    blueprint: &Blueprint,
-    contact_compliance: f32,
-) -> Result<(Template, Layout), String> {
-    let mut world = empty_world(blueprint, contact_compliance, 1);
-    if let Some(floor) = &blueprint.floor {
-        insert_floor(&mut world, floor);
+pub(super) fn assemble(blueprint: &Blueprint) -> Result<(Template, Layout), String> {
+    let mut world = empty_world(blueprint, 1);
+    let count = blueprint.shapes().count();
+    for (index, ground) in (count..).zip(&blueprint.grounds) {
+        insert_ground(&mut world, blueprint, ground, index);
     }
     let mut shapes = 0;
     let ground = world.bodies.insert(RigidBodyBuilder::fixed());
@@ -40,7 +40,7 @@ pub(super) fn assemble(
     for link in &blueprint.links {
         let parent_frame = link.parent.map_or(Pose::IDENTITY, |parent| frames[parent]);
         frames.push(parent_frame * link.rest);
-        let body = insert_link(&mut world, link, parent_frame * link.rest, shapes);
+        let body = insert_link(&mut world, blueprint, link, (parent_frame * link.rest, shapes));
         shapes += link.shapes.len();
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
         if let Some(joint) = joint(link) {
@@ -53,7 +53,7 @@ pub(super) fn assemble(
     let mut layout = Layout::new(blueprint, &world, &handles)?;
     set_passive_terms(&mut world, blueprint, &layout);
     fill_broad_phase(&mut world);
-    set_inverse_masses(&world, &mut layout);
+    set_inverse_masses(&world, blueprint, &mut layout);
     Ok((Template::of(world), layout))
 }
 
@@ -84,14 +84,15 @@ impl Template {
 
 /// Creates an empty world with the robot's gravity and its physics step split into `parts`.
 ///
-/// [`ContactLaw`](crate::world::ContactLaw) implements the contacts' springs. The engine only enforces their target
-/// speeds, with the given compliance: without damping `erp = 1`, and the compliance is `1 / (dt w)^2`. One pass solves
-/// contacts and friction, because a second pass without bias would remove the springs' rebound.
-pub(crate) fn empty_world(
-    blueprint: &Blueprint,
-    contact_compliance: f32,
-    parts: u32,
-) -> PhysicsWorld {
+/// For [`Law::Engine`], [`ContactLaw`](crate::world::ContactLaw) implements the contacts' springs. The engine only
+/// enforces their target speeds, with the given compliance: without damping `erp = 1`, and the compliance is
+/// `1 / (dt w)^2`. One pass solves contacts and friction, because a second pass without bias would remove the springs'
+/// rebound.
+pub(crate) fn empty_world(blueprint: &Blueprint, parts: u32) -> PhysicsWorld {
+    let compliance = match blueprint.law {
+        Law::Engine { compliance } => compliance,
+        Law::Constraints => ANY_COMPLIANCE,
+    };
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
     // Balancing the tree would call the platform's logarithm. A dozen shapes do not need it.
     world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
@@ -105,60 +106,88 @@ pub(crate) fn empty_world(
     // As in MuJoCo, contacts exist only within the margin.
     parameters.normalized_prediction_distance = 1e-4;
     parameters.normalized_max_corrective_velocity = f32::MAX;
-    let turn = parameters.dt * contact_compliance.sqrt() * std::f32::consts::TAU;
+    let turn = parameters.dt * compliance.sqrt() * std::f32::consts::TAU;
     parameters.static_contact_softness = SpringCoefficients::new(1.0 / turn, 0.0);
     world
 }
 
-/// Inserts the floor without a parent. Attached to the multibody's fixed root, it would be a part of the robot, and
-/// contacts between these are disabled.
-fn insert_floor(world: &mut PhysicsWorld, floor: &Floor) {
-    let collider = ColliderBuilder::new(SharedShape::halfspace(Vector::Z)).position(floor.pose);
-    world.colliders.insert(touching(collider, 0.0, FLOOR, ROBOT));
+/// Inserts a fixed shape without a parent. Attached to the multibody's fixed root, it would be a part of the robot.
+fn insert_ground(
+    world: &mut PhysicsWorld,
+    blueprint: &Blueprint,
+    ground: &GroundPlan,
+    index: usize,
+) {
+    let collider = match &ground.form {
+        GroundForm::Plane => {
+            ColliderBuilder::new(SharedShape::halfspace(Vector::Z)).position(ground.pose)
+        }
+        GroundForm::Solid(shape) => ColliderBuilder::new(Convex::shared(shape, &ground.pose))
+            .translation(match shape {
+                Shape::Sphere { .. } => ground.pose.translation,
+                _ => Vector::ZERO,
+            }),
+    };
+    let tag = ShapeTag { shape: index, body: ground.body };
+    let collider = match blueprint.law {
+        Law::Engine { .. } => collider,
+        Law::Constraints => collider
+            .user_data(tag.encoded())
+            .contact_skin(ground.surface.reach(&blueprint.contacts.stated)),
+    };
+    world.colliders.insert(touching(collider, 0.0, GROUND, ROBOT));
 }
 
 fn insert_link(
     world: &mut PhysicsWorld,
+    blueprint: &Blueprint,
     link: &LinkPlan,
-    frame: Pose,
-    first_shape: usize,
+    (frame, first_shape): (Pose, usize),
 ) -> RigidBodyHandle {
     let body = RigidBodyBuilder::dynamic()
         .pose(frame)
         .can_sleep(false)
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
-    for (index, plan) in (first_shape..).zip(&link.shapes) {
-        let Some(ContactPlan { friction, margin, .. }) = plan.contact else { continue };
-        let collider = touching(collider(plan), friction, ROBOT, FLOOR)
+    for (index, plan) in (first_shape..).zip(&link.shapes).filter(|_| !link.is_base()) {
+        let Some((friction, margin, hooks)) = contact_parts(blueprint, plan) else { continue };
+        let collider = touching(collider(plan), friction, ROBOT, GROUND)
             .user_data(ShapeTag { shape: index, body: plan.body }.encoded())
             .contact_skin(margin)
-            .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
+            .active_hooks(hooks);
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
     }
     handle
+}
+
+/// Friction and margin of a shape's collider, and the calls that its contacts need; `None` if it touches nothing.
+fn contact_parts(blueprint: &Blueprint, plan: &ShapePlan) -> Option<(f32, f32, ActiveHooks)> {
+    match blueprint.law {
+        Law::Engine { .. } => {
+            let contact = blueprint.floor_contact(plan)?;
+            let hooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
+            Some((contact.sliding_friction() as f32, contact.margin, hooks))
+        }
+        Law::Constraints => {
+            let surface = plan.surface?;
+            blueprint.grounds.iter().find(|ground| surface.meets(&ground.surface))?;
+            let margin = surface.reach(&blueprint.contacts.stated);
+            Some((0.0, margin, ActiveHooks::FILTER_CONTACT_PAIRS))
+        }
+    }
 }
 
 /// Builds a shape without mass. The engine sums mass properties unless they are exactly zero in the link's frame, and
 /// diagonalises sums with the platform's mathematical functions. A capsule is therefore defined by its ends in that
 /// frame, and the massless centre of a ball is moved to the link's origin. Other shapes are [`Convex`].
 fn collider(plan: &ShapePlan) -> ColliderBuilder {
-    if let Some(convex) = Convex::new(&plan.shape, &plan.pose) {
-        return ColliderBuilder::new(convex.shared()).mass_properties(MassProperties::default());
+    let collider = ColliderBuilder::new(Convex::shared(&plan.shape, &plan.pose));
+    if let Shape::Sphere { .. } = plan.shape {
+        let at = plan.pose.translation;
+        let nothing = MassProperties { local_com: -at, ..MassProperties::default() };
+        return collider.translation(at).mass_properties(nothing);
     }
-    let at = plan.pose.translation;
-    match plan.shape {
-        Shape::Capsule { half_length, radius } => {
-            let half = plan.pose.rotation * Vector::new(0.0, 0.0, half_length);
-            let shape = SharedShape::capsule(at - half, at + half, radius);
-            ColliderBuilder::new(shape).mass_properties(MassProperties::default())
-        }
-        Shape::Sphere { radius } => {
-            let nothing = MassProperties { local_com: -at, ..MassProperties::default() };
-            ColliderBuilder::new(SharedShape::ball(radius)).translation(at).mass_properties(nothing)
-        }
-        _ => unreachable!("all other shapes are convex"),
-    }
+    collider.mass_properties(MassProperties::default())
 }
 
 /// Index of a collider's shape among all shapes of the blueprint, and of its body in the model.
@@ -248,16 +277,18 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
         let JointPlan::Hinge(hinge) = &link.joint else { continue };
         robot.damping_mut()[map.dof] = hinge.damping;
         robot.armature_mut()[map.dof] = hinge.armature;
-        robot.frictions_mut()[map.dof] = hinge.friction;
+        if let Law::Engine { .. } = blueprint.law {
+            robot.frictions_mut()[map.dof] = hinge.friction;
+        }
     }
 }
 
 /// Computes inverse masses and inertias. Bodies have masses only after a step. A copy is used, so that the template
 /// does not change.
-fn set_inverse_masses(world: &PhysicsWorld, layout: &mut Layout) {
+fn set_inverse_masses(world: &PhysicsWorld, blueprint: &Blueprint, layout: &mut Layout) {
     let robot = world.multibody_joints.get_multibody(layout.multibody);
     let mut robot = robot.expect("the layout was read from this world").clone();
-    layout.set_inverse_masses(&mut robot, &world.bodies);
+    layout.set_inverse_masses(blueprint, &mut robot, &world.bodies);
 }
 
 /// Runs a step of zero duration, which fills the islands and the broad phase. All clones then start from the same

@@ -1,12 +1,13 @@
-//! Description of a robot's world, independent of file formats: links, joints, motors, floor.
+//! Description of a robot's world, independent of file formats: links, joints, motors, what stands in the world.
 
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
 use super::softness::{Integration, Softness, SoftnessOverride};
+use super::surface::{ContactOverride, ContactPlan, Surface};
 use crate::scene::Shape;
 
-/// Description of a robot and its floor.
+/// Description of a robot and of the fixed shapes that it can touch.
 #[derive(Debug)]
 pub(crate) struct Blueprint {
     /// Seconds of one physics step.
@@ -15,8 +16,11 @@ pub(crate) struct Blueprint {
     pub(crate) gravity: Vector,
     /// MuJoCo's integrator for the model.
     pub(crate) integration: Integration,
-    /// The floor, if any.
-    pub(crate) floor: Option<Floor>,
+    /// Shapes that are fixed to the world and can touch the robot, in the order of the model.
+    pub(crate) grounds: Vec<GroundPlan>,
+    pub(crate) contacts: ContactRules,
+    /// What enforces contacts and joint limits.
+    pub(crate) law: Law,
     /// Links, parents before children. The first is the root.
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
@@ -27,10 +31,52 @@ pub(crate) struct Blueprint {
     pub(crate) left_out: Vec<String>,
 }
 
-/// A half-space below the plane z = 0 of its pose. The links' shapes state the friction of their contacts with it.
+/// What enforces contacts and joint limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Law {
+    /// MuJoCo's soft constraints, solved for all contacts and limits together:
+    /// [`Constraints`](crate::world::Constraints).
+    Constraints,
+    /// The engine's solver, contact after contact, which applies this part of the contacts' compliance in units of
+    /// their inverse mass; [`ContactLaw`](crate::world::ContactLaw) applies the rest from the impulses of the last
+    /// step. The published robots have it.
+    Engine { compliance: f32 },
+}
+
+/// A shape that is fixed to the world.
 #[derive(Debug)]
-pub(crate) struct Floor {
+pub(crate) struct GroundPlan {
+    pub(crate) form: GroundForm,
     pub(crate) pose: Pose,
+    pub(crate) surface: Surface,
+    /// Index of its body in the model.
+    pub(crate) body: usize,
+}
+
+/// Form of a shape that is fixed to the world.
+#[derive(Debug)]
+pub(crate) enum GroundForm {
+    /// A half-space below the plane z = 0.
+    Plane,
+    Solid(Shape),
+}
+
+/// Rules for contacts of a whole model.
+#[derive(Clone, Debug)]
+pub(crate) struct ContactRules {
+    pub(crate) cone: Cone,
+    /// Ratio of the compliance of a contact's normal to that of its friction.
+    pub(crate) impratio: f64,
+    /// What a task states in place of the model's numbers.
+    pub(crate) stated: ContactOverride,
+}
+
+/// Limit of a contact's friction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Cone {
+    /// A pyramid with its edges along the tangents.
+    Pyramidal,
+    Elliptic,
 }
 
 /// A link. Bodies without a joint are merged into the link of their parent.
@@ -51,19 +97,12 @@ pub(crate) struct LinkPlan {
 pub(crate) struct ShapePlan {
     pub(crate) shape: Shape,
     pub(crate) pose: Pose,
-    /// Its contacts with the floor; `None` if it does not touch the floor.
-    pub(crate) contact: Option<ContactPlan>,
+    /// Its contact properties; `None` if it touches nothing.
+    pub(crate) surface: Option<Surface>,
     /// Index of its body in the model.
     pub(crate) body: usize,
-}
-
-/// Contacts of a shape with the floor.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ContactPlan {
-    pub(crate) friction: f32,
-    /// Distance at which contacts become active, m.
-    pub(crate) margin: f32,
-    pub(crate) softness: Softness,
+    /// Mass centre of its body, in the link's frame, m.
+    pub(crate) mass_centre: Vector,
 }
 
 /// Motion of a link relative to its parent.
@@ -120,6 +159,8 @@ pub(crate) struct Hinge {
     pub(crate) armature: f32,
     /// Largest torque of dry friction, N m.
     pub(crate) friction: f32,
+    /// Softness of dry friction.
+    pub(crate) friction_softness: Softness,
     /// Range of the sum of the motors' torques, N m.
     pub(crate) torque_range: Option<[f32; 2]>,
 }
@@ -191,21 +232,50 @@ impl LinkPlan {
 
 impl Blueprint {
     /// Replaces what a task states of the softness and margin of all contacts and limits.
-    pub(crate) fn soften(
-        &mut self,
-        contacts: &SoftnessOverride,
-        margin: Option<f32>,
-        limits: &SoftnessOverride,
-    ) {
+    pub(crate) fn soften(&mut self, contacts: ContactOverride, limits: &SoftnessOverride) {
+        self.contacts.stated = contacts;
         for link in &mut self.links {
-            for contact in link.shapes.iter_mut().filter_map(|shape| shape.contact.as_mut()) {
-                contact.softness = contact.softness.with(contacts);
-                contact.margin = margin.unwrap_or(contact.margin);
-            }
             if let JointPlan::Hinge(hinge) = &mut link.joint {
                 hinge.limit = hinge.limit.with(limits);
             }
         }
+    }
+
+    /// Has the engine's solver enforce contacts and limits, which it cannot do for all models.
+    pub(crate) fn use_engine(&mut self, compliance: f32) -> Result<(), String> {
+        let reason = |why: &str| Err(format!("`physics.contact_compliance` {why}; remove it"));
+        if !matches!(self.grounds.as_slice(), [] | [GroundPlan { form: GroundForm::Plane, .. }]) {
+            return reason("needs a world with one plane and nothing else to touch");
+        }
+        let contacts = self.shapes().filter_map(|shape| self.floor_contact(shape));
+        let contacts = contacts.map(|contact| contact.softness);
+        let hinges = self.links.iter().filter_map(LinkPlan::hinge);
+        let limits = hinges.filter(|hinge| hinge.range.is_some()).map(|hinge| hinge.limit);
+        if !contacts.chain(limits).all(|softness| softness.is_plain()) {
+            return reason(
+                "needs `solref` with a damping ratio of 1 and `solimp` with midpoint 0.5 and power 2",
+            );
+        }
+        if self.contacts.cone == Cone::Elliptic {
+            let what = "friction is limited by a pyramid, not by an elliptic cone";
+            self.left_out.push(what.to_owned());
+        }
+        if self.contacts.impratio != 1.0 {
+            self.left_out.push("`impratio` is 1".to_owned());
+        }
+        self.law = Law::Engine { compliance };
+        Ok(())
+    }
+
+    /// Contact of a shape with the fixed shape `ground`; `None` if MuJoCo computes none.
+    pub(crate) fn contact(&self, shape: &ShapePlan, ground: &GroundPlan) -> Option<ContactPlan> {
+        let surface = shape.surface.filter(|surface| surface.meets(&ground.surface))?;
+        Some(surface.contact(&ground.surface, &self.contacts.stated, self.timestep_secs))
+    }
+
+    /// Contact of a shape with the first fixed shape, the only one in the engine's law.
+    pub(crate) fn floor_contact(&self, shape: &ShapePlan) -> Option<ContactPlan> {
+        self.contact(shape, self.grounds.first()?)
     }
 
     /// All shapes of the links, in order.

@@ -1,7 +1,7 @@
 //! Collision shapes that rapier lacks or places otherwise: boxes, cylinders, ellipsoids and hulls in the frame of a link.
 //!
-//! They have no mass and no pose of their own, so the engine adds exactly nothing to a link's mass properties. They touch
-//! only the floor, which needs the corners of the shape that are lowest: the support feature.
+//! They have no mass and no pose of their own, so the engine adds exactly nothing to a link's mass properties. Contacts
+//! need the corners of the shape that are farthest in a direction: the support feature.
 
 use std::sync::Arc;
 
@@ -63,9 +63,19 @@ impl Convex {
         Some(convex)
     }
 
-    /// The shape for a collider.
-    pub(crate) fn shared(self) -> SharedShape {
-        SharedShape::new(self)
+    /// The shape of a collider with this pose in the collider's frame; a sphere's position is left to the collider.
+    pub(crate) fn shared(shape: &Shape, pose: &Pose) -> SharedShape {
+        if let Some(convex) = Self::new(shape, pose) {
+            return SharedShape::new(convex);
+        }
+        match *shape {
+            Shape::Capsule { half_length, radius } => {
+                let half = pose.rotation * Vector::new(0.0, 0.0, half_length);
+                SharedShape::capsule(pose.translation - half, pose.translation + half, radius)
+            }
+            Shape::Sphere { radius } => SharedShape::ball(radius),
+            _ => unreachable!("all other shapes are convex"),
+        }
     }
 
     /// Calls `add` with the corners of the feature farthest along `along`, in the form's frame, and their ids.
@@ -139,10 +149,10 @@ fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vecto
     if distance <= 0.0 {
         return;
     }
-    add(corner(second), second as u32);
     let side = (corner(second) - corner(first)).cross(along);
-    for sign in [1.0, -1.0] {
-        let (index, offset) = near(&|index| sign * (corner(index) - corner(first)).dot(side));
+    let beside = |sign: f32| near(&|index| sign * (corner(index) - corner(first)).dot(side));
+    // In turn around the feature, as the engine clips features against each other.
+    for (index, offset) in [beside(1.0), (second, 1.0), beside(-1.0)] {
         if offset > 0.0 {
             add(corner(index), index as u32);
         }

@@ -22,6 +22,8 @@ pub(crate) struct Layout {
     /// Mean inverse mass of each link's mass centre over three directions, in the rest pose, 1/kg: MuJoCo's
     /// `body_invweight0`.
     pub(crate) inverse_masses: Vec<f32>,
+    /// For each shape, the same of its body's mass centre and, with torques, of its rotation, 1/(kg m^2).
+    pub(crate) shape_inverses: Vec<[f64; 2]>,
     pub(crate) coordinate_names: Vec<String>,
     pub(crate) velocity_names: Vec<String>,
     pub(crate) coordinate_bounds: Vec<[f32; 2]>,
@@ -88,7 +90,12 @@ impl HingeMap {
 
 impl Layout {
     /// Computes inverse masses and inertias in the current pose of `robot`.
-    pub(super) fn set_inverse_masses(&mut self, robot: &mut Multibody, bodies: &RigidBodySet) {
+    pub(super) fn set_inverse_masses(
+        &mut self,
+        blueprint: &Blueprint,
+        robot: &mut Multibody,
+        bodies: &RigidBodySet,
+    ) {
         let inverse_inertias = robot.dof_inverse_inertia(bodies);
         for hinge in &mut self.hinges {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];
@@ -104,6 +111,14 @@ impl Layout {
             (0..3).map(along).sum::<f32>() / 3.0
         };
         self.inverse_masses = self.joints.iter().map(inverse_mass).collect();
+        for (plan, joint) in blueprint.links.iter().zip(&self.joints) {
+            let link = robot.link(joint.link).expect("the layout is this robot's");
+            let turn = link.local_to_world().rotation;
+            for shape in &plan.shapes {
+                let arm = turn * (shape.mass_centre - plan.mass.local_com);
+                self.shape_inverses.push(shape_inverse(robot, joint.link, arm));
+            }
+        }
     }
 
     pub(super) fn new(
@@ -130,6 +145,7 @@ impl Layout {
             joints: Vec::new(),
             hinges: Vec::new(),
             inverse_masses: Vec::new(),
+            shape_inverses: Vec::new(),
             coordinate_names: Vec::new(),
             velocity_names: Vec::new(),
             coordinate_bounds: Vec::new(),
@@ -196,4 +212,21 @@ impl Layout {
         self.reference.push(reference);
         self.rest.push(rest);
     }
+}
+
+/// Mean inverse mass and inertia of a point of a link, `arm` from the link's mass centre, over three directions.
+fn shape_inverse(robot: &Multibody, link: usize, arm: Vector) -> [f64; 2] {
+    let jacobian = robot.body_jacobian(link);
+    let response = |force: Vector, torque: Vector| {
+        let parts = force.to_array().into_iter().chain(torque.to_array());
+        let rows = parts.enumerate().map(|(row, part)| jacobian.row(row).transpose() * part);
+        let pull = rows.reduce(|sum, part| sum + part).expect("a wrench has six numbers");
+        let mut acceleration = pull.clone();
+        robot.inv_augmented_mass().solve_mut(&mut acceleration);
+        f64::from(pull.dot(&acceleration))
+    };
+    let axes = [Vector::X, Vector::Y, Vector::Z];
+    let moved = axes.map(|axis| response(axis, arm.cross(axis)));
+    let turned = axes.map(|axis| response(Vector::ZERO, axis));
+    [moved, turned].map(|numbers| numbers.iter().sum::<f64>() / 3.0)
 }

@@ -11,7 +11,7 @@ mod links;
 mod meshes;
 mod options;
 
-use super::blueprint::Blueprint;
+use super::blueprint::{Blueprint, Law};
 use super::document::Element;
 use super::folder::Folder;
 use bodies::Body;
@@ -24,8 +24,8 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let root = Element::parse(mjcf, folder)?;
     let (mut context, mut left_out) = Context::read(&root)?;
     let mut bodies = bodies::flat(&root, &context)?;
-    let ground = bodies::take_ground(&mut bodies, &context)?;
-    let mut links = links::read(&bodies, &mut context, ground.as_ref(), folder)?;
+    let grounds = bodies::take_grounds(&mut bodies, &mut context, folder)?;
+    let mut links = links::read(&bodies, &mut context, folder)?;
     note_contacts(&bodies, &mut left_out);
     let motors = actuators::read(&root, &context, &links)?;
     links.masses_to_links(context.options.total_mass)?;
@@ -33,7 +33,9 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         timestep_secs: context.options.timestep_secs,
         gravity: context.options.gravity,
         integration: context.options.integration,
-        floor: ground.map(|ground| ground.floor),
+        grounds,
+        contacts: context.options.contacts.clone(),
+        law: Law::Constraints,
         links: links.plans,
         motors,
         bodies: bodies.into_iter().map(|body| body.name).collect(),
@@ -48,8 +50,9 @@ fn note_contacts(bodies: &[Body], left_out: &mut Vec<String>) {
         .enumerate()
         .flat_map(|(index, body)| body.geoms.iter().map(move |geom| (index, geom)))
         .collect();
-    let meets =
-        |(a, geom): &&(usize, &Geom)| geoms.iter().any(|(b, other)| a != b && geom.meets(other));
+    let meets = |(a, geom): &&(usize, &Geom)| {
+        geoms.iter().any(|(b, other)| a != b && geom.surface.meets(&other.surface))
+    };
     let count = geoms.iter().filter(meets).count();
     if count > 0 {
         left_out.push(format!("links do not touch each other: contacts between {count} shapes"));

@@ -12,22 +12,34 @@ pub(crate) enum Integration {
     RungeKutta,
 }
 
-/// MuJoCo's `solref` with a damping ratio of 1, and its `solimp` with midpoint 0.5 and power 2.
+/// MuJoCo's `solref` and `solimp`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Softness {
-    /// First number of `solref`, s.
-    pub(crate) time_constant_secs: f32,
-    /// Impedance without violation and at violations of `width` or more, each in `[0, 1)`.
+    pub(crate) reference: Reference,
+    /// Impedance without violation and at violations of `width` or more, each in `(0, 1)`.
     pub(crate) impedance: [f32; 2],
     /// Violation at which the impedance is largest, m or rad.
     pub(crate) width: f32,
+    /// Violation, as a fraction of `width`, at which the two parts of the impedance's curve meet.
+    pub(crate) midpoint: f32,
+    /// Exponent of these parts.
+    pub(crate) power: f32,
+}
+
+/// MuJoCo's `solref`: the spring and damper of a constraint that resists alone.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Reference {
+    /// Two positive numbers: time constant, s, and damping ratio.
+    Timed { time_constant_secs: f32, damping_ratio: f32 },
+    /// Two negative numbers, here positive: stiffness, 1/s^2, and damping, 1/s.
+    Direct { stiffness: f32, damping: f32 },
 }
 
 /// Numbers that replace those of a model.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SoftnessOverride {
-    /// In place of [`Softness::time_constant_secs`], s.
+    /// A spring with this time constant, s, and a damping ratio of 1 in place of [`Softness::reference`].
     pub(crate) time_constant_secs: Option<f32>,
     /// In place of [`Softness::impedance`].
     pub(crate) impedance: Option<[f32; 2]>,
@@ -35,40 +47,58 @@ pub(crate) struct SoftnessOverride {
     pub(crate) width: Option<f32>,
 }
 
-/// Smallest impedance, as in MuJoCo.
+/// Smallest impedance and midpoint, as in MuJoCo.
 const SMALLEST_IMPEDANCE: f32 = 1e-4;
 
-/// Largest impedance, as in MuJoCo.
+/// Largest impedance and midpoint, as in MuJoCo.
 const LARGEST_IMPEDANCE: f64 = 0.9999;
 
 impl Softness {
+    /// MuJoCo's default `solref` and `solimp`.
+    pub(crate) const DEFAULT: ([f64; 2], [f64; 5]) = ([0.02, 1.0], [0.9, 0.95, 0.001, 0.5, 2.0]);
+
     /// Softness for MuJoCo's `solref` and `solimp` and a physics step of `step_secs`.
     pub(super) fn new(
-        [time_constant, damping]: [f64; 2],
+        solref: [f64; 2],
         [first, last, width, midpoint, power]: [f64; 5],
         step_secs: f64,
-    ) -> Result<Self, String> {
-        if time_constant <= 0.0 || (damping - 1.0).abs() > 1e-6 {
-            return Err("the damping ratio of its `solref` must be 1".to_owned());
-        }
-        if [midpoint, power] != [0.5, 2.0] {
-            return Err("the midpoint and power of its `solimp` must be 0.5 and 2".to_owned());
-        }
-        let impedance = |d: f64| d.clamp(f64::from(SMALLEST_IMPEDANCE), LARGEST_IMPEDANCE) as f32;
-        Ok(Self {
-            // As in MuJoCo, a spring is never faster than two steps.
-            time_constant_secs: time_constant.max(2.0 * step_secs) as f32,
-            impedance: [impedance(first), impedance(last)],
+    ) -> Self {
+        let bounded = |d: f64| d.clamp(f64::from(SMALLEST_IMPEDANCE), LARGEST_IMPEDANCE) as f32;
+        Self {
+            reference: Reference::new(solref, step_secs),
+            impedance: [bounded(first), bounded(last)],
             width: width.max(1e-9) as f32,
-        })
+            midpoint: bounded(midpoint),
+            power: power.max(1.0) as f32,
+        }
+    }
+
+    /// Why MuJoCo has no spring for these two numbers, if it has none.
+    pub(super) fn check([first, second]: [f64; 2]) -> Result<(), String> {
+        if (first > 0.0) == (second > 0.0) {
+            return Ok(());
+        }
+        Err("the two numbers of its `solref` must both be positive, or both negative".to_owned())
+    }
+
+    /// Whether it is critically damped and has MuJoCo's default curve of the impedance.
+    pub(super) fn is_plain(&self) -> bool {
+        let is_critical = |reference: &Reference| match reference {
+            Reference::Timed { damping_ratio, .. } => (damping_ratio - 1.0).abs() <= 1e-6,
+            Reference::Direct { .. } => false,
+        };
+        is_critical(&self.reference) && [self.midpoint, self.power] == [0.5, 2.0]
     }
 
     /// The softness with other numbers.
     pub(super) fn with(&self, other: &SoftnessOverride) -> Self {
+        let timed =
+            |time_constant_secs| Reference::Timed { time_constant_secs, damping_ratio: 1.0 };
         Self {
-            time_constant_secs: other.time_constant_secs.unwrap_or(self.time_constant_secs),
+            reference: other.time_constant_secs.map_or(self.reference, timed),
             impedance: other.impedance.unwrap_or(self.impedance),
             width: other.width.unwrap_or(self.width),
+            ..*self
         }
     }
 
@@ -78,18 +108,82 @@ impl Softness {
         (1.0 - impedance) / impedance
     }
 
-    /// Impedance `d`, interpolated over `width` by two parabolas.
-    fn impedance_at(&self, violation: f32) -> f32 {
+    /// Impedance `d`, interpolated over `width` by two power functions.
+    pub(crate) fn impedance_at(&self, violation: f32) -> f32 {
         let [first, last] = self.impedance;
         let x = (violation / self.width).clamp(0.0, 1.0);
-        let y = if x < 0.5 { 2.0 * x * x } else { 1.0 - 2.0 * (1.0 - x) * (1.0 - x) };
+        let [mid, power] = [self.midpoint, self.power];
+        // MuJoCo's default is computed without the library's powers.
+        let y = match (power == 2.0, x < mid) {
+            (true, true) => x * x / mid,
+            (true, false) => 1.0 - (1.0 - x) * (1.0 - x) / (1.0 - mid),
+            (false, true) => mid * libm::powf(x / mid, power),
+            (false, false) => 1.0 - (1.0 - mid) * libm::powf((1.0 - x) / (1.0 - mid), power),
+        };
         (first + (last - first) * y).max(SMALLEST_IMPEDANCE)
+    }
+
+    /// Stiffness `k`, 1/s^2, and damping `b`, 1/s, of MuJoCo's reference acceleration `-b v - k d(r) r`.
+    pub(crate) fn stiffness_and_damping(&self) -> [f64; 2] {
+        let last = f64::from(self.impedance[1]);
+        match self.reference {
+            Reference::Timed { time_constant_secs, damping_ratio } => {
+                let rate = 1.0 / (last * f64::from(time_constant_secs));
+                let stiffness = rate / f64::from(damping_ratio);
+                [stiffness * stiffness, 2.0 * rate]
+            }
+            Reference::Direct { stiffness, damping } => {
+                [f64::from(stiffness) / (last * last), f64::from(damping) / last]
+            }
+        }
+    }
+
+    /// Reference acceleration of the constraint at `position`, m or rad, negative for a violation, and `speed`, over a
+    /// step of `step_secs`. Friction has no position. MuJoCo's Runge-Kutta integrator follows the spring through the
+    /// step; the acceleration is then the mean over the step.
+    pub(crate) fn reference_acceleration(
+        &self,
+        integration: Integration,
+        step_secs: f64,
+        position: Option<f64>,
+        speed: f64,
+    ) -> f64 {
+        let [stiffness, damping] = self.stiffness_and_damping();
+        let at = position.unwrap_or(0.0);
+        let stiffness = stiffness * f64::from(self.impedance_at(-at as f32));
+        let pull = |at: f64, speed: f64| -stiffness * at - damping * speed;
+        if integration == Integration::Euler {
+            return pull(at, speed);
+        }
+        let (mut term, mut sum) = ([at, speed], 0.0);
+        for order in 1..=4 {
+            let part = step_secs / f64::from(order);
+            term = [part * term[1], part * pull(term[0], term[1])];
+            sum += term[1];
+        }
+        sum / step_secs
     }
 
     /// Spring of the constraint for steps of `step_secs`.
     pub(crate) fn spring(&self, integration: Integration, step_secs: f32) -> Spring {
-        let rate = 1.0 / (self.impedance[1] * self.time_constant_secs);
+        let rate = match self.reference {
+            Reference::Timed { time_constant_secs, .. } => {
+                1.0 / (self.impedance[1] * time_constant_secs)
+            }
+            Reference::Direct { stiffness, .. } => stiffness.sqrt() / self.impedance[1],
+        };
         Spring { integration, rate, decay: libm::expf(-rate * step_secs), step_secs }
+    }
+}
+
+impl Reference {
+    fn new([first, second]: [f64; 2], step_secs: f64) -> Self {
+        if first > 0.0 {
+            // As in MuJoCo, a spring is never faster than two steps.
+            let time_constant_secs = first.max(2.0 * step_secs) as f32;
+            return Self::Timed { time_constant_secs, damping_ratio: second as f32 };
+        }
+        Self::Direct { stiffness: -first as f32, damping: -second as f32 }
     }
 }
 
@@ -125,8 +219,13 @@ mod tests {
     use super::*;
 
     /// MuJoCo's default.
-    const DEFAULT: Softness =
-        Softness { time_constant_secs: 0.02, impedance: [0.9, 0.95], width: 0.001 };
+    const DEFAULT: Softness = Softness {
+        reference: Reference::Timed { time_constant_secs: 0.02, damping_ratio: 1.0 },
+        impedance: [0.9, 0.95],
+        width: 0.001,
+        midpoint: 0.5,
+        power: 2.0,
+    };
 
     #[test]
     fn the_impedance_rises_from_its_first_to_its_last_value() {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::environment_batch::{EnvironmentBatch, Outcome};
-use crate::robot::{JointPlan, Softness};
+use crate::robot::{JointPlan, Reference, Softness};
 use crate::simulation::environments;
 
 const HOPPER: &str = include_str!("../../assets/hopper.toml");
@@ -241,8 +241,8 @@ fn terms_of_the_motion_describe_a_hopper_that_stands() {
     assert!((distance - 5.0).abs() < 0.1, "{distance}");
 }
 
-/// Integrator, softness of the first limit and contact, margin and compliance of the example's robot, whose model states
-/// its own, with these lines under `[physics]`.
+/// Integrator, softness of the first contact and limit, margin and law of the example's robot, whose model states its own,
+/// with these lines under `[physics]`.
 fn physics(lines: &str) -> String {
     let geom = "<geom type=\"capsule\"";
     let soft = "solref=\"0.03 1\" solimp=\"0.8 0.85 0.002\" margin=\"0.004\"";
@@ -254,34 +254,46 @@ fn physics(lines: &str) -> String {
     let file = TaskFile::parse(&format!("{HOPPER}\n[physics]\n{lines}")).unwrap();
     let robot = Robot::build(file.robot_row(model)).unwrap();
     let blueprint = robot.blueprint();
-    let contact = blueprint.shapes().find_map(|shape| shape.contact).unwrap();
+    let contact = blueprint.shapes().find_map(|shape| blueprint.floor_contact(shape)).unwrap();
     let limit = blueprint.links.iter().find_map(|link| match &link.joint {
         JointPlan::Hinge(hinge) => Some(hinge.limit),
         _ => None,
     });
-    let softness = |Softness { time_constant_secs, impedance: [first, last], width }: Softness| {
+    let softness = |Softness { reference, impedance: [first, last], width, .. }: Softness| {
+        let Reference::Timed { time_constant_secs, .. } = reference else {
+            panic!("{reference:?}")
+        };
         format!("{time_constant_secs} {first} {last} {width}")
     };
     let [contacts, limits] = [contact.softness, limit.unwrap()].map(softness);
     let (integration, margin) = (blueprint.integration, contact.margin);
-    format!("{integration:?}, {contacts}, {limits}, {margin}, {}", robot.contact_compliance())
+    format!("{integration:?}, {contacts}, {limits}, {margin}, {:?}", blueprint.law)
 }
 
 #[test]
 fn every_physics_key_is_optional_and_replaces_only_its_number_of_the_model() {
     // The plane has the softness and margin of its class, the capsules' one: margins add up.
-    assert_eq!(physics(""), "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.1");
+    assert_eq!(
+        physics(""),
+        "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, Constraints"
+    );
     for (line, expected) in [
-        ("integration = \"euler\"", "Euler, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.1"),
-        ("contacts.width = 0.1", "RungeKutta, 0.03 0.8 0.85 0.1, 0.05 0.7 0.75 0.03, 0.008, 0.1"),
+        (
+            "integration = \"euler\"",
+            "Euler, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, Constraints",
+        ),
+        (
+            "contacts.width = 0.1",
+            "RungeKutta, 0.03 0.8 0.85 0.1, 0.05 0.7 0.75 0.03, 0.008, Constraints",
+        ),
         (
             "limits = { impedance = [0.0, 0.9], time_constant_secs = 0.5 }",
-            "RungeKutta, 0.03 0.8 0.85 0.002, 0.5 0 0.9 0.03, 0.008, 0.1",
+            "RungeKutta, 0.03 0.8 0.85 0.002, 0.5 0 0.9 0.03, 0.008, Constraints",
         ),
-        ("margin = 0.0", "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0, 0.1"),
+        ("margin = 0.0", "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0, Constraints"),
         (
             "contact_compliance = 0.5",
-            "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, 0.5",
+            "RungeKutta, 0.03 0.8 0.85 0.002, 0.05 0.7 0.75 0.03, 0.008, Engine { compliance: 0.5 }",
         ),
     ] {
         assert_eq!(physics(line), expected, "{line}");

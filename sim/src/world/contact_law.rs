@@ -1,4 +1,5 @@
-//! MuJoCo's contact law on rapier's solver: target normal speed and friction of each contact in the next step.
+//! MuJoCo's contact law on rapier's solver, for [`Law::Engine`](crate::robot::Law): target normal speed and friction of
+//! each contact in the next step. [`Constraints`](super::Constraints) is exact, and has no bounds on the compliance.
 //!
 //! MuJoCo's friction pyramid is four soft constraints `n + mu t` along the axes of the contact's frame, each with the
 //! spring of [`Softness`] and the compliance `2 mu^2 R`. It differs from a rigid contact in three ways:
@@ -58,15 +59,18 @@ struct Touch {
 }
 
 impl ContactLaw {
-    /// Creates the contact law of a robot for physics steps of `step_secs`.
-    pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
+    /// Creates the contact law of a robot for physics steps of `step_secs` and an engine with this compliance.
+    pub(crate) fn new(robot: &Robot, compliance: f32, step_secs: f32) -> Self {
         let blueprint = robot.blueprint();
         let law =
             |softness: Softness| (softness, softness.spring(blueprint.integration, step_secs));
         Self {
-            shapes: blueprint.shapes().map(|shape| Some(law(shape.contact?.softness))).collect(),
+            shapes: blueprint
+                .shapes()
+                .map(|shape| Some(law(blueprint.floor_contact(shape)?.softness)))
+                .collect(),
             step_secs,
-            solved_compliance: robot.contact_compliance(),
+            solved_compliance: compliance,
             motions: Vec::with_capacity(robot.layout().joints.len()),
         }
     }

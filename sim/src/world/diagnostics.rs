@@ -4,7 +4,7 @@
 use rapier3d::math::Vector;
 use rapier3d::parry::shape::SupportMap as _;
 
-use super::World;
+use super::{Enforcer, World};
 use crate::robot::{Convex, JointPlan, LinkPlan};
 use crate::scene::Shape;
 
@@ -50,6 +50,9 @@ impl World {
 
     /// Sum of the normal impulses in the last physics step, N s.
     pub fn contact_impulse(&self) -> f32 {
+        if let Enforcer::Constraints(constraints) = &self.enforcer {
+            return constraints.normal_impulse();
+        }
         let manifolds = self.physics.narrow_phase.contact_pairs().flat_map(|pair| pair.manifolds());
         manifolds.flat_map(|manifold| &manifold.points).map(|point| point.data.impulse).sum()
     }

@@ -6,15 +6,21 @@
 
 use rapier3d::dynamics::Multibody;
 
-use crate::robot::{Blueprint, HingeMap, Layout, MotorPlan, Spring};
+use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Spring};
 
-/// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
-const WEAK_SPRING: f32 = 0.01;
+/// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian. The engine
+/// also damps the hinge with this stiffness times the duration of the step.
+const WEAK_SPRING: f32 = 1e-7;
+/// The same for the published robots, of which no hinge is light.
+const PUBLISHED_SPRING: f32 = 0.01;
 
 /// Torques of the hinges and their state between steps. Slides have forces instead, in newtons.
 pub(crate) struct HingeDrives {
-    /// Springs of the limits, in the order of [`Layout::hinges`].
-    springs: Vec<Spring>,
+    /// Springs of the limits, in the order of [`Layout::hinges`]; `None` if [`Constraints`](super::Constraints) enforces
+    /// them.
+    springs: Vec<Option<Spring>>,
+    /// Stiffness of the spring that applies torques, N m / rad.
+    weak_spring: f32,
     step_secs: f32,
     /// Motors with their controls, in the order of [`Blueprint::motors`].
     motors: Vec<(MotorPlan, f32)>,
@@ -51,9 +57,16 @@ struct Limit {
 impl HingeDrives {
     /// Creates drives at rest, for physics steps of `step_secs`.
     pub(crate) fn new(blueprint: &Blueprint, layout: &Layout, step_secs: f32) -> Self {
-        let spring = |hinge: &HingeMap| hinge.plan.limit.spring(blueprint.integration, step_secs);
+        let spring = |hinge: &HingeMap| match blueprint.law {
+            Law::Engine { .. } => Some(hinge.plan.limit.spring(blueprint.integration, step_secs)),
+            Law::Constraints => None,
+        };
         Self {
             springs: layout.hinges.iter().map(spring).collect(),
+            weak_spring: match blueprint.law {
+                Law::Engine { .. } => PUBLISHED_SPRING,
+                Law::Constraints => WEAK_SPRING,
+            },
             step_secs,
             motors: blueprint.motors.iter().map(|motor| (motor.clone(), 0.0)).collect(),
             drives: vec![Drive::default(); layout.hinges.len()],
@@ -97,8 +110,8 @@ impl HingeDrives {
             robot.armature_mut()[hinge.dof] = hinge.plan.armature + limit.armature;
             robot.damping_mut()[hinge.dof] = hinge.plan.damping + drive.damping;
             let link = robot.link_mut(hinge.link).expect("the layout is this robot's");
-            let rest = at + hinge.plan.axis.sign * torque / WEAK_SPRING;
-            link.joint.set_spring(hinge.axis, WEAK_SPRING, rest);
+            let rest = at + hinge.plan.axis.sign * torque / self.weak_spring;
+            link.joint.set_spring(hinge.axis, self.weak_spring, rest);
         }
     }
 
@@ -146,7 +159,9 @@ impl HingeDrives {
 
     /// Limit that the angle violates; zero if it is inactive.
     fn limit(&self, index: usize, hinge: &HingeMap, angle: f32, speed: f32) -> Limit {
-        let Some([low, high]) = hinge.plan.range else { return Limit::default() };
+        let (Some([low, high]), Some(spring)) = (hinge.plan.range, &self.springs[index]) else {
+            return Limit::default();
+        };
         // Positive towards the range; a violation is negative.
         let (position, inward) = if angle < low {
             (angle - low, 1.0)
@@ -157,7 +172,7 @@ impl HingeDrives {
         };
         let drive = &self.drives[index];
         let speed = inward * speed;
-        let reference = (self.springs[index].next_speed(speed, position) - speed) / self.step_secs;
+        let reference = (spring.next_speed(speed, position) - speed) / self.step_secs;
         let changed = hinge.inverse_inertia * (drive.torque - drive.last_torque);
         if reference <= inward * (drive.free_acceleration + changed) {
             return Limit::default();

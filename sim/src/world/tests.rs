@@ -1,6 +1,7 @@
 //! Tests of worlds of models that no task ships: MJCF elements, one document of several files, other roots, refused
 //! models.
 
+mod contacts;
 mod loaded;
 mod one_document;
 mod other_roots;

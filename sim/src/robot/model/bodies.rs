@@ -1,10 +1,14 @@
 //! The tree of bodies as a list, and stated inertias.
 
+use super::super::blueprint::GroundPlan;
 use super::super::document::{Element, ORIENTATIONS, check_names};
+use super::super::folder::Folder;
 use super::super::frame::{Frame, IDENTITY};
 use super::super::inertia::Solid;
+use super::super::surface::Surface;
 use super::context::Context;
-use super::geoms::{Geom, Ground};
+use super::geoms::Geom;
+use super::joints;
 use super::options::{MassSource, Options};
 
 /// Elements in a body that have no effect on the motion.
@@ -150,36 +154,39 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
     Ok(Solid { centre: frame.position, ..solid })
 }
 
-/// Removes the world's shapes from the list of bodies and finds the floor among them.
-pub(super) fn take_ground(
+/// Whether bodies that are fixed to the world are a link.
+pub(super) fn has_base(bodies: &[Body]) -> bool {
+    !bodies.iter().any(|body| body.joints.iter().any(joints::is_free))
+}
+
+/// Removes planes, the world's shapes and, without a base, those of bodies that are fixed to the world from the bodies.
+/// Returns those that something can touch.
+pub(super) fn take_grounds(
     bodies: &mut [Body],
-    context: &Context,
-) -> Result<Option<Ground>, String> {
-    let mut ground = None;
-    let mut frames: Vec<Frame> = Vec::new();
-    for index in 0..bodies.len() {
-        let parent = if index == 0 { IDENTITY } else { frames[bodies[index].parent] };
-        frames.push(if index == 0 { IDENTITY } else { parent.then(&bodies[index].frame) });
-        let is_static = bodies[index].is_static;
-        let loose = |geom: &&Geom| geom.is_plane() && !is_static;
-        if let Some(plane) = bodies[index].geoms.iter().find(loose) {
-            return Err(plane.element.refuse("a plane must be fixed to the world"));
-        }
-        for plane in bodies[index].geoms.iter().filter(|geom| geom.is_plane() && geom.collides()) {
-            if ground.is_some() {
-                return Err(plane.element.refuse("the world has more than one plane"));
-            }
-            ground = Some(plane.ground(&frames[index], context));
-        }
-        bodies[index].geoms.retain(|geom| !geom.is_plane());
+    context: &mut Context,
+    folder: &mut Folder<'_>,
+) -> Result<Vec<GroundPlan>, String> {
+    let has_base = has_base(bodies);
+    let moving = bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
+    if let Some(plane) = moving.clone().find(|geom| geom.is_plane()) {
+        return Err(plane.element.refuse("a plane must be fixed to the world"));
     }
-    let moving = || bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
-    let touched = |geom: &&Geom| moving().any(|other| geom.meets(other));
-    if let Some(geom) = bodies[0].geoms.iter().find(touched) {
-        return Err(geom.element.refuse("links touch nothing in the world but one plane"));
+    let moving: Vec<Surface> = moving.map(|geom| geom.surface).collect();
+    let (mut grounds, mut frames) = (Vec::new(), Vec::new());
+    for (index, body) in bodies.iter_mut().enumerate() {
+        let parent = if index == 0 { IDENTITY } else { frames[body.parent] };
+        frames.push(if index == 0 { IDENTITY } else { parent.then(&body.frame) });
+        let is_taken = index == 0 || (body.is_static && !has_base);
+        let (taken, kept): (Vec<Geom>, Vec<Geom>) = std::mem::take(&mut body.geoms)
+            .into_iter()
+            .partition(|geom| is_taken || geom.is_plane());
+        body.geoms = kept;
+        let touched = |geom: &&Geom| moving.iter().any(|other| geom.surface.meets(other));
+        for geom in taken.iter().filter(|_| context.options.has_contacts).filter(touched) {
+            grounds.push(geom.ground((&frames[index], index), &mut context.meshes, folder)?);
+        }
     }
-    bodies[0].geoms.clear();
-    Ok(ground.filter(|_| context.options.has_contacts))
+    Ok(grounds)
 }
 
 /// Refuses two bodies, joints or actuators of the same name.

@@ -12,7 +12,6 @@ use super::super::inertia::{MassSum, Solid};
 use super::bodies::{self, Body};
 use super::context::Context;
 use super::geoms::Geom;
-use super::joints;
 use super::meshes::asset_name;
 use super::options::MassSource;
 use crate::scene::Hull;
@@ -54,15 +53,11 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
     let bodies = bodies::flat(&root, &context)?;
     let mut rests = Vec::new();
     for (index, body) in bodies.iter().enumerate() {
-        let is_built = index > 0 && (!body.is_static || has_base(&bodies));
-        rests.push(match is_built {
-            true => rest(body, &mut context, folder, &mut hulls)?,
-            // Nothing of the world but its plane is built.
-            false => {
-                let kept = |geom: &Geom| if geom.is_mesh() { Kept::Nothing } else { Kept::Whole };
-                Rest { inertial: None, shapes: body.geoms.iter().map(kept).collect() }
-            }
-        });
+        let shapes = kept_shapes(body, &mut context, folder, &mut hulls)?;
+        // Without a base, what is fixed to the world has no mass.
+        let weighs = index > 0 && (!body.is_static || bodies::has_base(&bodies));
+        let inertial = if weighs { inertia(body, &mut context, folder)? } else { None };
+        rests.push(Rest { inertial, shapes });
     }
     mark_base(&bodies, &mut rests, &mut hulls);
     let source = context.options.mass_source;
@@ -87,36 +82,42 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
     Ok(written(&root))
 }
 
-/// Whether bodies that are fixed to the world are a link.
-fn has_base(bodies: &[Body]) -> bool {
-    !bodies.iter().any(|body| body.joints.iter().any(joints::is_free))
-}
-
-fn rest(
+/// What remains of a body's shapes. The corners of meshes that collide are added to `hulls`.
+fn kept_shapes(
     body: &Body,
     context: &mut Context,
     folder: &mut Folder<'_>,
     hulls: &mut Hulls,
-) -> Result<Rest, String> {
-    let mut rest = Rest::default();
-    let is_stated = bodies::stated_inertia(body, &context.options)?.is_some();
-    let weighs = |geom: &Geom| !is_stated && geom.weighs() && !geom.is_plane();
-    let mut sum = MassSum::default();
-    let states = body.geoms.iter().any(|geom| geom.is_mesh() && weighs(geom));
+) -> Result<VecDeque<Kept>, String> {
+    let mut shapes = VecDeque::new();
     for geom in &body.geoms {
-        if states && weighs(geom) {
-            let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
-            sum.add(&geom.solid(&shape, &pose, &context.meshes)?);
-        }
-        let is_kept = !geom.is_mesh() || geom.collides();
+        let is_kept = !geom.is_mesh() || geom.surface.collides();
         if let Some(name) = geom.element.text("mesh").filter(|_| geom.is_mesh() && is_kept) {
             let hull = context.meshes.hull(&geom.element, folder)?;
             hulls.insert(name.to_owned(), Some(hull));
         }
-        rest.shapes.push_back(if is_kept { Kept::Whole } else { Kept::Nothing });
+        shapes.push_back(if is_kept { Kept::Whole } else { Kept::Nothing });
     }
-    rest.inertial = states.then(|| sum.solid());
-    Ok(rest)
+    Ok(shapes)
+}
+
+/// Mass and inertia of a body to which meshes contribute.
+fn inertia(
+    body: &Body,
+    context: &mut Context,
+    folder: &mut Folder<'_>,
+) -> Result<Option<Solid>, String> {
+    let is_stated = bodies::stated_inertia(body, &context.options)?.is_some();
+    let weighs = |geom: &&Geom| !is_stated && geom.weighs() && !geom.is_plane();
+    if !body.geoms.iter().any(|geom| geom.is_mesh() && weighs(&geom)) {
+        return Ok(None);
+    }
+    let mut sum = MassSum::default();
+    for geom in body.geoms.iter().filter(weighs) {
+        let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+        sum.add(&geom.solid(&shape, &pose, &context.meshes)?);
+    }
+    Ok(Some(sum.solid()))
 }
 
 /// Keeps a shape of the first body that is fixed to the world and has shapes: the base has its name.
@@ -126,7 +127,7 @@ fn mark_base(bodies: &[Body], rests: &mut [Rest], hulls: &mut Hulls) {
     let (body, rest) = (&bodies[index + 1], &mut rests[index + 1]);
     let planes = body.geoms.iter().map(Geom::is_plane);
     let stays = |(kept, is_plane): (&Kept, bool)| *kept == Kept::Whole && !is_plane;
-    if !has_base(bodies) || rest.shapes.iter().zip(planes).any(stays) {
+    if !bodies::has_base(bodies) || rest.shapes.iter().zip(planes).any(stays) {
         return;
     }
     let first = rest.shapes.iter().position(|kept| *kept == Kept::Nothing);

@@ -3,41 +3,21 @@
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::SharedShape;
 
-use super::super::blueprint::{ContactPlan, Floor};
+use super::super::blueprint::{GroundForm, GroundPlan};
 use super::super::document::{Element, ORIENTATIONS};
 use super::super::folder::Folder;
 use super::super::frame::{Frame, IDENTITY, vector};
 use super::super::inertia::Solid;
-use super::super::softness::Softness;
+use super::super::surface::Surface;
 use super::context::Context;
 use super::meshes::Meshes;
 use crate::scene::Shape;
 
-const KNOWN: [&str; 20] = [
-    "name",
-    "class",
-    "type",
-    "size",
-    "pos",
-    "fromto",
-    "friction",
-    "mass",
-    "density",
-    "margin",
-    "contype",
-    "conaffinity",
-    "condim",
-    "priority",
-    "solmix",
-    "solref",
-    "solimp",
-    "mesh",
-    "gap",
-    "shellinertia",
-];
+const KNOWN: [&str; 10] =
+    ["name", "class", "type", "size", "pos", "fromto", "mass", "density", "mesh", "shellinertia"];
 /// Attributes without effect on the motion; `hfield` belongs to a type that is refused.
-const SKIPPED: [&str; 8] =
-    ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale"];
+const SKIPPED: [&str; 9] =
+    ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale", "gap"];
 /// Largest size of a shape, m: the inertia of a larger one overflows.
 const LARGEST_SIZE: f64 = 1e4;
 /// Density of shapes that state neither density nor mass, kg/m^3.
@@ -50,43 +30,17 @@ pub(super) struct Geom {
     frame: Frame,
     /// Ends of the shape in its body, if it states them.
     ends: Option<[[f64; 3]; 2]>,
-    contype: i64,
-    conaffinity: i64,
-    collision: Collision,
-}
-
-/// Properties that two touching shapes combine.
-#[derive(Clone, Copy)]
-struct Collision {
-    priority: i64,
-    friction: f64,
-    dimensions: i64,
-    margin: f64,
-    mix: f64,
-    solref: [f64; 2],
-    solimp: [f64; 5],
-}
-
-/// The floor, and its part of contacts.
-pub(super) struct Ground {
-    pub(super) floor: Floor,
-    contype: i64,
-    conaffinity: i64,
-    collision: Collision,
-    timestep_secs: f64,
+    pub(super) surface: Surface,
 }
 
 impl Geom {
     /// Reads a shape that is stated in `outer`, a frame in its body.
     pub(super) fn new(element: Element, outer: Frame, context: &Context) -> Result<Self, String> {
-        element.only(&[&KNOWN, &SKIPPED, &ORIENTATIONS])?;
+        element.only(&[&KNOWN, &SKIPPED, &ORIENTATIONS, &Surface::ATTRIBUTES])?;
         if element.flag("shellinertia")? == Some(true) {
             return Err(element.refuse("`shellinertia` is not supported"));
         }
-        if element.number("gap", 0.0)? != 0.0 {
-            return Err(element.refuse("`gap` is not supported"));
-        }
-        let collision = Collision::read(&element)?;
+        let surface = Surface::read(&element)?;
         let ends = element.numbers::<6>("fromto")?.map(|[a, b, c, d, e, f]| {
             [[a, b, c], [d, e, f]].map(|end| {
                 if outer == IDENTITY {
@@ -99,9 +53,7 @@ impl Geom {
         Ok(Self {
             frame: outer.then(&context.options.angles.frame(&element)?),
             ends,
-            contype: element.integer("contype", 1)?,
-            conaffinity: element.integer("conaffinity", 1)?,
-            collision,
+            surface,
             element,
         })
     }
@@ -116,16 +68,6 @@ impl Geom {
 
     fn kind(&self) -> &str {
         self.element.text("type").unwrap_or("sphere")
-    }
-
-    /// Whether the shape can touch anything.
-    pub(super) fn collides(&self) -> bool {
-        self.contype != 0 || self.conaffinity != 0
-    }
-
-    /// Whether MuJoCo computes contacts between two shapes.
-    pub(super) fn meets(&self, other: &Self) -> bool {
-        self.contype & other.conaffinity != 0 || other.contype & self.conaffinity != 0
     }
 
     /// Whether the shape has a mass.
@@ -220,17 +162,21 @@ impl Geom {
         }
     }
 
-    /// Contacts of the shape with the floor; `None` if it does not touch it.
-    pub(super) fn contact(&self, ground: &Ground) -> Result<Option<ContactPlan>, String> {
-        if self.contype & ground.conaffinity == 0 && ground.contype & self.conaffinity == 0 {
-            return Ok(None);
-        }
-        let collision = self.collision.with(&ground.collision);
-        let softness = Softness::new(collision.solref, collision.solimp, ground.timestep_secs);
-        let softness = softness.map_err(|reason| self.element.refuse(reason))?;
-        let friction = if collision.dimensions == 1 { 0.0 } else { collision.friction };
-        let (friction, margin) = (friction as f32, collision.margin as f32);
-        Ok(Some(ContactPlan { friction, margin, softness }))
+    /// The shape as one that is fixed to the world. `frame` is the frame of its body in the world, `body` the body's
+    /// index.
+    pub(super) fn ground(
+        &self,
+        (frame, body): (&Frame, usize),
+        meshes: &mut Meshes,
+        folder: &mut Folder<'_>,
+    ) -> Result<GroundPlan, String> {
+        let (form, pose) = if self.is_plane() {
+            (GroundForm::Plane, frame.then(&self.frame).pose())
+        } else {
+            let (shape, pose) = self.shape(meshes, folder)?;
+            (GroundForm::Solid(shape), frame.pose() * pose)
+        };
+        Ok(GroundPlan { form, pose, surface: self.surface, body })
     }
 }
 
@@ -273,59 +219,4 @@ fn between([from, to]: [[f64; 3]; 2]) -> Option<(f32, Pose)> {
     let (a, b) = (vector(from), vector(to));
     let turn = Rotation::from_rotation_arc(Vector::Z, (b - a).try_normalize()?);
     Some(((b - a).length() / 2.0, Pose::from_parts((a + b) / 2.0, turn)))
-}
-
-impl Collision {
-    fn read(element: &Element) -> Result<Self, String> {
-        let collision = Self {
-            priority: element.integer("priority", 0)?,
-            friction: element.padded("friction", [1.0, 0.005, 0.0001])?[0],
-            dimensions: element.integer("condim", 3)?,
-            margin: element.number("margin", 0.0)?,
-            mix: element.number("solmix", 1.0)?,
-            solref: element.padded("solref", [0.02, 1.0])?,
-            solimp: element.padded("solimp", [0.9, 0.95, 0.001, 0.5, 2.0])?,
-        };
-        if collision.friction < 0.0 || collision.margin < 0.0 || collision.mix < 0.0 {
-            return Err(element.refuse("`friction`, `margin` and `solmix` must not be negative"));
-        }
-        if ![1, 3, 4, 6].contains(&collision.dimensions) {
-            return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
-        }
-        Ok(collision)
-    }
-
-    /// The properties of a contact, by MuJoCo's rules.
-    fn with(&self, other: &Self) -> Self {
-        let margin = self.margin + other.margin;
-        if self.priority != other.priority {
-            let first = if self.priority > other.priority { self } else { other };
-            return Self { margin, ..*first };
-        }
-        let share =
-            if self.mix + other.mix > 0.0 { self.mix / (self.mix + other.mix) } else { 0.5 };
-        let mean = |a: f64, b: f64| if a == b { a } else { share * a + (1.0 - share) * b };
-        Self {
-            priority: self.priority,
-            friction: self.friction.max(other.friction),
-            dimensions: self.dimensions.max(other.dimensions),
-            margin,
-            mix: share,
-            solref: [0, 1].map(|i| mean(self.solref[i], other.solref[i])),
-            solimp: [0, 1, 2, 3, 4].map(|i| mean(self.solimp[i], other.solimp[i])),
-        }
-    }
-}
-
-impl Geom {
-    /// The floor that this plane is. `body` is the frame of its body in the world.
-    pub(super) fn ground(&self, body: &Frame, context: &Context) -> Ground {
-        Ground {
-            floor: Floor { pose: body.then(&self.frame).pose() },
-            contype: self.contype,
-            conaffinity: self.conaffinity,
-            collision: self.collision,
-            timestep_secs: context.options.timestep_secs,
-        }
-    }
 }

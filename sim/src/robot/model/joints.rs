@@ -7,7 +7,7 @@ use super::super::softness::Softness;
 use super::bodies::Body;
 use super::context::Context;
 
-const KNOWN: [&str; 17] = [
+const KNOWN: [&str; 19] = [
     "name",
     "class",
     "type",
@@ -24,11 +24,11 @@ const KNOWN: [&str; 17] = [
     "margin",
     "solreflimit",
     "solimplimit",
+    "solreffriction",
+    "solimpfriction",
     "actuatorfrcrange",
 ];
-/// Attributes that are skipped: `solreffriction` and `solimpfriction` soften dry friction, which is rigid here.
-const SKIPPED: [&str; 5] =
-    ["group", "user", "actuatorfrclimited", "solreffriction", "solimpfriction"];
+const SKIPPED: [&str; 3] = ["group", "user", "actuatorfrclimited"];
 const PASSIVE: [&str; 4] = ["stiffness", "damping", "armature", "frictionloss"];
 
 /// Whether a joint is a free joint.
@@ -157,21 +157,27 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         motion,
         reference: reference as f32,
         range,
-        limit: limit(joint, context)?,
+        limit: softness(joint, ["solreflimit", "solimplimit"], context)?,
         stiffness: number("stiffness")?,
         spring_rest: (angle(joint.number("springref", 0.0)?) - reference) as f32,
         damping: number("damping")?,
         armature: number("armature")?,
         friction: number("frictionloss")?,
+        friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
         torque_range: torque_range(joint)?,
     })
 }
 
-fn limit(joint: &Element, context: &Context) -> Result<Softness, String> {
-    let solref = joint.padded("solreflimit", [0.02, 1.0])?;
-    let solimp = joint.padded("solimplimit", [0.9, 0.95, 0.001, 0.5, 2.0])?;
-    let softness = Softness::new(solref, solimp, context.options.timestep_secs);
-    softness.map_err(|reason| joint.refuse(reason))
+fn softness(
+    joint: &Element,
+    [solref, solimp]: [&str; 2],
+    context: &Context,
+) -> Result<Softness, String> {
+    let (reference, impedance) = Softness::DEFAULT;
+    let reference = joint.padded(solref, reference)?;
+    Softness::check(reference).map_err(|reason| joint.refuse(reason))?;
+    let impedance = joint.padded(solimp, impedance)?;
+    Ok(Softness::new(reference, impedance, context.options.timestep_secs))
 }
 
 fn torque_range(joint: &Element) -> Result<Option<[f32; 2]>, String> {

@@ -5,10 +5,11 @@ use rapier3d::prelude::MassProperties;
 
 use super::super::blueprint::{JointPlan, LinkPlan, ShapePlan};
 use super::super::folder::Folder;
+use super::super::frame::vector;
 use super::super::inertia::MassSum;
 use super::bodies::{self, Body};
 use super::context::Context;
-use super::geoms::{Geom, Ground};
+use super::geoms::Geom;
 use super::joints;
 
 /// Distance of a free root's mass centre from its origin that counts as none, m.
@@ -29,11 +30,10 @@ type Home = (Option<usize>, Pose);
 pub(super) fn read<'a>(
     bodies: &'a [Body],
     context: &mut Context,
-    ground: Option<&Ground>,
     folder: &mut Folder<'_>,
 ) -> Result<Links<'a>, String> {
     let mut links = Links { plans: Vec::new(), masses: Vec::new(), bodies: Vec::new() };
-    let base = links.add_base(bodies)?;
+    let base = links.add_base(bodies);
     let mut homes: Vec<Home> = vec![(base, Pose::IDENTITY)];
     for (index, body) in bodies.iter().enumerate().skip(1) {
         let (parent, frame) = homes[body.parent];
@@ -45,7 +45,7 @@ pub(super) fn read<'a>(
             (Some(links.plans.len() - 1), Pose::IDENTITY)
         };
         if let Some(link) = home.0 {
-            links.add_parts((index, body), link, &home.1, (&mut *context, ground, &mut *folder))?;
+            links.add_parts((index, body), link, &home.1, (&mut *context, &mut *folder))?;
         }
         homes.push(home);
     }
@@ -55,20 +55,11 @@ pub(super) fn read<'a>(
 
 impl<'a> Links<'a> {
     /// Adds the link of all bodies that are fixed to the world, if any of them has a shape.
-    fn add_base(&mut self, bodies: &[Body]) -> Result<Option<usize>, String> {
-        let base = bodies.iter().skip(1).find(|body| body.is_static && !body.geoms.is_empty());
-        let Some(base) = base else { return Ok(None) };
-        let moving = |body: &&Body| body.joints.iter().any(joints::is_free);
-        if let Some(root) = bodies.iter().find(moving) {
-            let reason = format!("{} moves freely, and links touch nothing but a plane", root.name);
-            return match base.geoms.iter().find(|geom| geom.collides()) {
-                Some(geom) => Err(geom.element.refuse(reason)),
-                None => Ok(None),
-            };
-        }
+    fn add_base(&mut self, bodies: &[Body]) -> Option<usize> {
+        let base = bodies.iter().skip(1).find(|body| body.is_static && !body.geoms.is_empty())?;
         self.push(base.name.clone(), None, Pose::IDENTITY, JointPlan::Fixed);
         self.bodies.push(None);
-        Ok(Some(0))
+        Some(0)
     }
 
     /// Adds a body's links: one for each joint. All but the last have neither mass nor shapes.
@@ -110,7 +101,7 @@ impl<'a> Links<'a> {
         (index, body): (usize, &Body),
         link: usize,
         frame: &Pose,
-        (context, ground, folder): (&mut Context, Option<&Ground>, &mut Folder<'_>),
+        (context, folder): (&mut Context, &mut Folder<'_>),
     ) -> Result<(), String> {
         let inertial = bodies::stated_inertia(body, &context.options)?;
         let mut own = MassSum::default();
@@ -118,10 +109,12 @@ impl<'a> Links<'a> {
             self.masses[link].add(&solid.placed(frame));
             own.add(&solid.placed(frame));
         }
-        let has_contacts = body.geoms.iter().any(Geom::collides);
+        let collides = |geom: &Geom| geom.surface.collides();
+        let has_contacts = body.geoms.iter().any(collides);
+        let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {
             let weighs = inertial.is_none() && geom.weighs();
-            let is_drawn = geom.collides() || !(has_contacts || geom.is_mesh());
+            let is_drawn = collides(geom) || !(has_contacts || geom.is_mesh());
             if !weighs && !is_drawn {
                 continue;
             }
@@ -133,10 +126,17 @@ impl<'a> Links<'a> {
                 own.add(&solid);
             }
             if is_drawn {
-                let touches = ground.filter(|_| !self.plans[link].is_base());
-                let contact = touches.map(|ground| geom.contact(ground)).transpose()?.flatten();
-                self.plans[link].shapes.push(ShapePlan { shape, pose, contact, body: index });
+                let touches = context.options.has_contacts && collides(geom);
+                let surface = Some(geom.surface).filter(|_| touches);
+                let mass_centre = frame.translation;
+                let plan = ShapePlan { shape, pose, surface, body: index, mass_centre };
+                self.plans[link].shapes.push(plan);
             }
+        }
+        if own.mass() > 0.0 {
+            let centre = vector(own.solid().centre);
+            let shapes = &mut self.plans[link].shapes[first_shape..];
+            shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
         }
         let [least_mass, least_inertia] = context.options.least;
         let moments = own.properties(1.0).principal_inertia().to_array();
@@ -198,7 +198,8 @@ impl<'a> Links<'a> {
 }
 
 impl LinkPlan {
-    fn is_base(&self) -> bool {
+    /// Whether the link is fixed to the world.
+    pub(crate) fn is_base(&self) -> bool {
         matches!(self.joint, JointPlan::Fixed)
     }
 }

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use rapier3d::math::Vector;
 
+use super::super::blueprint::{Cone, ContactRules};
 use super::super::document::Element;
 use super::super::frame::{Angles, vector};
 use super::super::softness::Integration;
+use super::super::surface::ContactOverride;
 
 /// Sections of a document that are read, or have no effect on the motion.
 const SECTIONS: [&str; 15] = [
@@ -130,6 +132,7 @@ pub(super) struct Options {
     pub(super) gravity: Vector,
     pub(super) integration: Integration,
     pub(super) has_contacts: bool,
+    pub(super) contacts: ContactRules,
 }
 
 impl Options {
@@ -160,6 +163,7 @@ impl Options {
             gravity: vector(option.numbers("gravity")?.unwrap_or([0.0, 0.0, -9.81])),
             integration: integration(&option)?,
             has_contacts: flags.flag("contact")?.unwrap_or(true),
+            contacts: contact_rules(&option)?,
         };
         if options.timestep_secs <= 0.0 {
             return Err(option.refuse("`timestep` must be positive"));
@@ -272,14 +276,21 @@ fn integration(option: &Element) -> Result<Integration, String> {
     }
 }
 
+fn contact_rules(option: &Element) -> Result<ContactRules, String> {
+    let cone = match option.text("cone") {
+        None | Some("pyramidal") => Cone::Pyramidal,
+        Some("elliptic") => Cone::Elliptic,
+        Some(_) => return Err(option.refuse("`cone` must be pyramidal or elliptic")),
+    };
+    let impratio = option.number("impratio", 1.0)?;
+    if impratio <= 0.0 {
+        return Err(option.refuse("`impratio` must be positive"));
+    }
+    Ok(ContactRules { cone, impratio, stated: ContactOverride::default() })
+}
+
 fn differences(option: &Element) -> Result<Vec<String>, String> {
     let mut left_out = Vec::new();
-    if option.text("cone") == Some("elliptic") {
-        left_out.push("friction is limited by a pyramid, not by an elliptic cone".to_owned());
-    }
-    if option.number("impratio", 1.0)? != 1.0 {
-        left_out.push("`impratio` is 1".to_owned());
-    }
     if option.integer("noslip_iterations", 0)? != 0 {
         left_out.push("there is no solver that prevents slip".to_owned());
     }

@@ -86,7 +86,7 @@ fn assert_near(what: &str, got: &[f32], expected: &[f32]) {
 }
 
 fn assert_same_shape(name: &str, got: &ShapePlan, expected: &ShapePlan) {
-    let place = |plan: &ShapePlan| format!("{:?} {:?} {}", plan.pose, plan.contact, plan.body);
+    let place = |plan: &ShapePlan| format!("{:?} {:?} {}", plan.pose, plan.surface, plan.body);
     assert_eq!(place(got), place(expected), "{name}");
     let corners = |shape: &Shape| match shape {
         Shape::Hull(hull) => hull.points.iter().map(|point| point.map(f32::to_bits)).collect(),
@@ -119,10 +119,17 @@ fn assert_same(document: &str) -> String {
     let [expected, got] = [direct.blueprint(), flat.blueprint()];
     let rest = |plan: &Blueprint| {
         let Blueprint {
-            timestep_secs, gravity, integration, floor, motors, bodies, left_out, ..
+            timestep_secs,
+            gravity,
+            integration,
+            grounds,
+            motors,
+            bodies,
+            left_out,
+            ..
         } = plan;
         format!(
-            "{timestep_secs} {gravity} {integration:?} {floor:?} {motors:?} {bodies:?} {left_out:?}"
+            "{timestep_secs} {gravity} {integration:?} {grounds:?} {motors:?} {bodies:?} {left_out:?}"
         )
     };
     assert_eq!(rest(got), rest(expected));

@@ -1,0 +1,260 @@
+//! Contacts as constraints: MuJoCo's friction pyramids and cones.
+
+use rapier3d::geometry::{Collider, ContactPair};
+use rapier3d::math::{Pose, Vector};
+use rapier3d::prelude::PhysicsWorld;
+
+use super::problem::{Kind, MOST_ROWS, Problem};
+use super::{LinkStart, Rule, Start};
+use crate::robot::{Blueprint, Cone, ContactPlan, GroundForm, Robot, ShapeTag, Surface};
+use crate::scene::Shape;
+
+/// The shapes of a robot and its world that can touch, and the contacts of the last step.
+pub(super) struct Touching {
+    /// The robot's shapes, then the fixed ones, in the order of [`ShapeTag::shape`].
+    shapes: Vec<TouchShape>,
+    /// For each contact, its first row and the number of rows whose forces add up to the normal force.
+    normals: Vec<(usize, usize)>,
+}
+
+/// A shape in contacts.
+struct TouchShape {
+    /// `None` if it touches nothing.
+    surface: Option<Surface>,
+    /// Index of its link in the blueprint; `None` if it is fixed to the world.
+    link: Option<usize>,
+    /// Inverse mass and inertia of its body in the rest pose, 1/kg and 1/(kg m^2); 0 if it is fixed.
+    inverse: [f64; 2],
+    form: TouchForm,
+}
+
+/// Forms on which the frame of a contact depends.
+#[derive(Clone, Copy, PartialEq)]
+enum TouchForm {
+    Plane,
+    Capsule,
+    Other,
+}
+
+/// A contact of two shapes in the world.
+struct Contact<'a> {
+    plan: ContactPlan,
+    /// Links of the shapes.
+    links: [Option<&'a LinkStart>; 2],
+    /// Sum of the inverse masses and inertias of both bodies.
+    inverse: [f64; 2],
+    /// Middle between the surfaces, m.
+    point: Vector,
+    /// Normal, from the first shape to the second, and two tangents.
+    axes: [Vector; 3],
+    /// Distance less the margin, m.
+    position: f64,
+}
+
+impl Touching {
+    pub(super) fn new(robot: &Robot) -> Self {
+        let blueprint = robot.blueprint();
+        let inverses = &robot.layout().shape_inverses;
+        let links = blueprint.links.iter().enumerate();
+        let shapes = links.flat_map(|(link, plan)| {
+            let link = Some(link).filter(|_| !plan.is_base());
+            plan.shapes.iter().map(move |shape| (link, shape))
+        });
+        let moving = shapes.zip(inverses).map(|((link, shape), inverse)| TouchShape {
+            surface: shape.surface,
+            link,
+            inverse: if link.is_some() { *inverse } else { [0.0; 2] },
+            form: match shape.shape {
+                Shape::Capsule { .. } => TouchForm::Capsule,
+                _ => TouchForm::Other,
+            },
+        });
+        let fixed = blueprint.grounds.iter().map(|ground| TouchShape {
+            surface: Some(ground.surface),
+            link: None,
+            inverse: [0.0; 2],
+            form: match ground.form {
+                GroundForm::Plane => TouchForm::Plane,
+                GroundForm::Solid(Shape::Capsule { .. }) => TouchForm::Capsule,
+                GroundForm::Solid(_) => TouchForm::Other,
+            },
+        });
+        Self { shapes: moving.chain(fixed).collect(), normals: Vec::new() }
+    }
+
+    /// Whether two shapes can touch.
+    pub(super) fn meet(&self, first: ShapeTag, second: ShapeTag) -> bool {
+        let [first, second] = [first, second].map(|tag| &self.shapes[tag.shape]);
+        match (first.surface, second.surface) {
+            (Some(one), Some(other)) => one.meets(&other),
+            _ => false,
+        }
+    }
+
+    /// Adds all contacts that the engine has found as constraints.
+    pub(super) fn add(
+        &mut self,
+        blueprint: &Blueprint,
+        physics: &PhysicsWorld,
+        start: &Start,
+        problem: &mut Problem,
+        rule: Rule,
+    ) {
+        self.normals.clear();
+        for pair in physics.narrow_phase.contact_pairs() {
+            let colliders = [pair.collider1, pair.collider2];
+            let [one, other] = colliders.map(|handle| &physics.colliders[handle]);
+            self.add_pair(blueprint, (pair, [one, other]), start, (&mut *problem, rule));
+        }
+    }
+
+    fn add_pair(
+        &mut self,
+        blueprint: &Blueprint,
+        (pair, colliders): (&ContactPair, [&Collider; 2]),
+        start: &Start,
+        (problem, rule): (&mut Problem, Rule),
+    ) {
+        let tags = colliders.map(ShapeTag::of);
+        let shapes = tags.map(|tag| &self.shapes[tag.shape]);
+        let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return };
+        let plan = one.contact(&other, &blueprint.contacts.stated, blueprint.timestep_secs);
+        let links = shapes.map(|shape| shape.link.map(|link| &start.links[link]));
+        let inverse = [0, 1].map(|k| shapes[0].inverse[k] + shapes[1].inverse[k]);
+        let poses = [0, 1].map(|k| pose_at_start(colliders[k], links[k]));
+        let along = direction(shapes.map(|shape| shape.form), colliders, poses);
+        for manifold in pair.manifolds() {
+            let pose = poses[0] * manifold.subshape_pos1().copied().unwrap_or(Pose::IDENTITY);
+            let normal = pose.rotation * manifold.local_n1;
+            for point in manifold.points.iter().filter(|point| point.dist < plan.margin) {
+                let contact = Contact {
+                    plan,
+                    links,
+                    inverse,
+                    point: pose * point.local_p1 + normal * (0.5 * point.dist),
+                    axes: frame(normal, along),
+                    position: f64::from(point.dist) - f64::from(plan.margin),
+                };
+                self.normals.push(contact.add(blueprint, &start.speeds, problem, rule));
+            }
+        }
+    }
+}
+
+impl Touching {
+    /// Sum of the normal forces of the contacts that were added last, N.
+    pub(super) fn normal_force(&self, forces: &[f64]) -> f64 {
+        self.normals.iter().flat_map(|(first, count)| &forces[*first..first + count]).sum()
+    }
+}
+
+impl Contact<'_> {
+    /// Adds the contact. Returns its first row and the number of rows whose forces add up to the normal force.
+    fn add(
+        &self,
+        blueprint: &Blueprint,
+        speeds: &[f64],
+        problem: &mut Problem,
+        rule: Rule,
+    ) -> (usize, usize) {
+        let softness = &self.plan.softness;
+        let compliance = f64::from(softness.compliance(-self.position as f32)) * self.inverse[0];
+        let frictions = self.plan.dimensions - 1;
+        let mu = self.plan.friction[0];
+        let impratio = blueprint.contacts.impratio;
+        if frictions == 0 {
+            self.fill(problem.add_row(), &[(0, 1.0)]);
+            let aim = rule.aim(softness, Some(self.position), speed(problem, speeds));
+            problem.set_row(aim, compliance);
+            return (problem.close(Kind::Push), 1);
+        }
+        if blueprint.contacts.cone == Cone::Elliptic {
+            for direction in 0..=frictions {
+                self.fill(problem.add_row(), &[(direction, 1.0)]);
+                let (position, ratio) = match direction {
+                    0 => (Some(self.position), 1.0),
+                    k => (None, mu / self.plan.friction[k - 1]),
+                };
+                let aim = rule.aim(softness, position, speed(problem, speeds));
+                let share = if direction == 0 { 1.0 } else { ratio * ratio / impratio };
+                problem.set_row(aim, compliance * share);
+            }
+            let friction = self.plan.friction;
+            return (problem.close(Kind::Cone { mu: mu / impratio.sqrt(), friction }), 1);
+        }
+        // All edges of a pyramid have the compliance of the first.
+        let compliance = 2.0 * mu * mu / impratio * compliance * (1.0 + mu * mu);
+        let mut first = 0;
+        for direction in 1..=frictions {
+            for sign in [1.0, -1.0] {
+                let friction = sign * self.plan.friction[direction - 1];
+                self.fill(problem.add_row(), &[(0, 1.0), (direction, friction)]);
+                let aim = rule.aim(softness, Some(self.position), speed(problem, speeds));
+                problem.set_row(aim, compliance);
+                first = problem.close(Kind::Push);
+            }
+        }
+        (first + 1 - 2 * frictions, 2 * frictions)
+    }
+
+    /// Writes the Jacobian of a sum of directions, each with its factor: 0 for the normal, 1 and 2 for the tangents, and
+    /// 3 to 5 for rotations about these three.
+    fn fill(&self, row: &mut [f64], directions: &[(usize, f64)]) {
+        for (link, sign) in self.links.iter().zip([-1.0, 1.0]) {
+            let Some(link) = link else { continue };
+            let mut wrench = [0.0; MOST_ROWS];
+            for (direction, factor) in directions {
+                let axis = self.axes[direction % 3];
+                let [force, torque] = match direction {
+                    0..3 => [axis, (self.point - link.mass_centre).cross(axis)],
+                    _ => [Vector::ZERO, axis],
+                };
+                let parts = force.to_array().into_iter().chain(torque.to_array());
+                for (sum, part) in wrench.iter_mut().zip(parts) {
+                    *sum += sign * factor * f64::from(part);
+                }
+            }
+            for (number, column) in row.iter_mut().zip(&link.jacobian) {
+                *number += column.iter().zip(&wrench).fold(0.0, |sum, (a, b)| sum + a * b);
+            }
+        }
+    }
+}
+
+/// Speed along the row that was added last.
+fn speed(problem: &Problem, speeds: &[f64]) -> f64 {
+    problem.last_row().iter().zip(speeds).fold(0.0, |sum, (a, b)| sum + a * b)
+}
+
+fn pose_at_start(collider: &Collider, link: Option<&LinkStart>) -> Pose {
+    match (link, collider.position_wrt_parent()) {
+        (Some(link), Some(inside)) => link.pose * *inside,
+        _ => *collider.position(),
+    }
+}
+
+/// Axis of a capsule on a plane, along which MuJoCo lays a tangent; zero for other pairs.
+fn direction(forms: [TouchForm; 2], colliders: [&Collider; 2], poses: [Pose; 2]) -> Vector {
+    let capsule = match forms {
+        [TouchForm::Plane, TouchForm::Capsule] => 1,
+        [TouchForm::Capsule, TouchForm::Plane] => 0,
+        _ => return Vector::ZERO,
+    };
+    let shape = colliders[capsule].shape().as_capsule();
+    shape.map_or(Vector::ZERO, |shape| {
+        poses[capsule].rotation * (shape.segment.b - shape.segment.a).normalize_or_zero()
+    })
+}
+
+/// MuJoCo's frame of a contact: the normal, and two tangents, the first of them along `along` as far as possible.
+fn frame(normal: Vector, along: Vector) -> [Vector; 3] {
+    let towards = match along.length() < 0.5 {
+        true if normal.y.abs() < 0.5 => Vector::Y,
+        true => Vector::Z,
+        false => along,
+    };
+    let tangent = towards - normal * towards.dot(normal);
+    // A capsule that stands on its end has no direction in the plane.
+    let tangent = tangent.try_normalize().unwrap_or_else(|| normal.any_orthonormal_vector());
+    [normal, tangent, normal.cross(tangent)]
+}

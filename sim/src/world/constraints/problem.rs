@@ -1,0 +1,395 @@
+//! The accelerations and forces of a robot under MuJoCo's soft constraints: a convex problem, solved by Newton's method.
+//!
+//! Without constraints, the accelerations `a` have `M a = b`. A constraint with the row `J` of the Jacobian, the
+//! reference acceleration `a_ref` and the compliance `R` adds the force `f = (a_ref - J a) / R`, which is limited by its
+//! kind. The accelerations are where `a M a / 2 - a b` plus the constraints' costs is least; a cost has the slope `-f`.
+//!
+//! All sums have a fixed order and only use arithmetic and square roots, so that every platform finds the same bits.
+
+/// Most steps of Newton's method; a robot on four feet needs three to six.
+const MOST_STEPS: usize = 40;
+/// Most lengths that are tried along a step.
+const MOST_LENGTHS: usize = 24;
+/// The solution is accepted when a step would lower the cost by less than this part of its scale.
+const PRECISION: f64 = 1e-13;
+/// A length is accepted when the slope there is less than this part of that at the start.
+const FLAT: f64 = 1e-2;
+/// Most rows of a constraint.
+pub(super) const MOST_ROWS: usize = 6;
+
+/// Limits of the forces of a constraint.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Kind {
+    /// One row, of which the force is not negative: a contact's edge, a limit.
+    Push,
+    /// One row, of which the force is at most this: dry friction.
+    Bounded(f64),
+    /// The normal of a contact, then its directions of friction with their coefficients: the forces are in MuJoCo's
+    /// elliptic cone, whose opening in its regularised coordinates is `mu`.
+    Cone { mu: f64, friction: [f64; MOST_ROWS - 1] },
+}
+
+/// A constraint: its kind and its rows.
+#[derive(Clone, Copy, Debug)]
+struct Constraint {
+    kind: Kind,
+    first: usize,
+    count: usize,
+}
+
+/// How the cost of a constraint curves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Zone {
+    /// Not at all: the force is constant.
+    Flat,
+    /// Each row on its own, with `1 / R`.
+    Square,
+    /// All rows together: the force is on the surface of the cone.
+    Surface,
+}
+
+/// A problem with its solution, and memory for the next.
+#[derive(Debug, Default)]
+pub(super) struct Problem {
+    /// Number of accelerations.
+    size: usize,
+    /// `M` by rows, of which only the lower half is read.
+    pub(super) mass: Vec<f64>,
+    /// `b`.
+    pub(super) pull: Vec<f64>,
+    /// `a`: where the search starts, then the solution.
+    pub(super) accelerations: Vec<f64>,
+    constraints: Vec<Constraint>,
+    /// `J` by rows, `a_ref`, and `1 / R`.
+    rows: Vec<f64>,
+    aims: Vec<f64>,
+    weights: Vec<f64>,
+    /// `f` of the solution.
+    pub(super) forces: Vec<f64>,
+    work: Work,
+}
+
+#[derive(Debug, Default)]
+struct Work {
+    /// `J a - a_ref`, and its change per length.
+    residuals: Vec<f64>,
+    changes: Vec<f64>,
+    tried: Vec<f64>,
+    gradient: Vec<f64>,
+    step: Vec<f64>,
+    hessian: Vec<f64>,
+}
+
+impl Problem {
+    /// Starts a problem with `size` accelerations, all of whose numbers are 0, and no constraints.
+    pub(super) fn clear(&mut self, size: usize) {
+        self.size = size;
+        for (numbers, count) in [
+            (&mut self.mass, size * size),
+            (&mut self.pull, size),
+            (&mut self.accelerations, size),
+            (&mut self.work.hessian, size * size),
+            (&mut self.work.gradient, size),
+            (&mut self.work.step, size),
+        ] {
+            numbers.clear();
+            numbers.resize(count, 0.0);
+        }
+        self.constraints.clear();
+        for numbers in [&mut self.rows, &mut self.aims, &mut self.weights, &mut self.forces] {
+            numbers.clear();
+        }
+    }
+
+    pub(super) fn has_constraints(&self) -> bool {
+        !self.constraints.is_empty()
+    }
+
+    /// Adds a row of a constraint, which [`Self::close`] ends, and returns it to be filled.
+    pub(super) fn add_row(&mut self) -> &mut [f64] {
+        let start = self.rows.len();
+        self.rows.resize(start + self.size, 0.0);
+        &mut self.rows[start..]
+    }
+
+    /// The row that was added last.
+    pub(super) fn last_row(&self) -> &[f64] {
+        &self.rows[self.rows.len() - self.size..]
+    }
+
+    /// Sets the reference acceleration and the compliance of the row that was added last.
+    pub(super) fn set_row(&mut self, aim: f64, compliance: f64) {
+        self.aims.push(aim);
+        self.weights.push(1.0 / compliance.max(f64::MIN_POSITIVE.sqrt()));
+    }
+
+    /// Makes the rows since the last constraint a constraint. Returns the index of its first row.
+    pub(super) fn close(&mut self, kind: Kind) -> usize {
+        let first = self.forces.len();
+        self.forces.resize(self.aims.len(), 0.0);
+        self.constraints.push(Constraint { kind, first, count: self.aims.len() - first });
+        first
+    }
+
+    /// Finds accelerations and forces.
+    pub(super) fn solve(&mut self) {
+        let trace: f64 = (0..self.size).map(|k| self.mass[k * self.size + k]).sum();
+        let scale = PRECISION * (trace + dot(&self.accelerations, &self.pull).abs());
+        for _ in 0..MOST_STEPS {
+            self.weigh();
+            self.find_step();
+            let drop = -dot(&self.work.gradient, &self.work.step);
+            // Also ends the search if a number is not finite.
+            if drop.is_nan() || drop <= scale {
+                return;
+            }
+            let length = self.length(-drop);
+            for (number, step) in self.accelerations.iter_mut().zip(&self.work.step) {
+                *number += length * step;
+            }
+        }
+        self.weigh();
+    }
+
+    /// `J^T f`.
+    pub(super) fn push(&self, out: &mut [f64]) {
+        out.fill(0.0);
+        for (row, force) in self.rows.chunks_exact(self.size).zip(&self.forces) {
+            add_scaled(out, *force, row);
+        }
+    }
+
+    /// Computes residuals and forces at the accelerations.
+    fn weigh(&mut self) {
+        self.work.residuals.clear();
+        for (row, aim) in self.rows.chunks_exact(self.size).zip(&self.aims) {
+            self.work.residuals.push(dot(row, &self.accelerations) - aim);
+        }
+        for constraint in &self.constraints {
+            let rows = constraint.first..constraint.first + constraint.count;
+            let (residuals, weights) =
+                (&self.work.residuals[rows.clone()], &self.weights[rows.clone()]);
+            constraint.kind.force(residuals, weights, &mut self.forces[rows]);
+        }
+    }
+
+    /// Computes the gradient and Newton's step.
+    fn find_step(&mut self) {
+        let Self { size, work, .. } = self;
+        let size = *size;
+        multiply(&self.mass, &self.accelerations, &mut work.gradient);
+        for (number, pull) in work.gradient.iter_mut().zip(&self.pull) {
+            *number -= pull;
+        }
+        work.hessian.copy_from_slice(&self.mass);
+        for (row, force) in self.rows.chunks_exact(size).zip(&self.forces) {
+            add_scaled(&mut work.gradient, -force, row);
+        }
+        for constraint in &self.constraints {
+            let rows = constraint.first..constraint.first + constraint.count;
+            let weights = &self.weights[rows.clone()];
+            let residuals = &work.residuals[rows.clone()];
+            let jacobian = &self.rows[rows.start * size..rows.end * size];
+            match constraint.kind.zone(residuals, weights) {
+                Zone::Flat => {}
+                Zone::Square => {
+                    for (row, weight) in jacobian.chunks_exact(size).zip(weights) {
+                        add_product(&mut work.hessian, *weight, row, row);
+                    }
+                }
+                Zone::Surface => {
+                    let curvature = constraint.kind.curvature(residuals, weights);
+                    for (i, first) in jacobian.chunks_exact(size).enumerate() {
+                        for (j, second) in jacobian.chunks_exact(size).enumerate() {
+                            add_product(&mut work.hessian, curvature[i][j], first, second);
+                        }
+                    }
+                }
+            }
+        }
+        work.step.copy_from_slice(&work.gradient);
+        work.step.iter_mut().for_each(|number| *number = -*number);
+        factorise(&mut work.hessian, size);
+        substitute(&work.hessian, &mut work.step);
+    }
+
+    /// Length of the step at which the cost is least. `slope` is that of the cost at length 0, negative.
+    fn length(&mut self, slope: f64) -> f64 {
+        let work = &mut self.work;
+        work.changes.clear();
+        let rows = self.rows.chunks_exact(self.size);
+        work.changes.extend(rows.map(|row| dot(row, &work.step)));
+        multiply(&self.mass, &work.step, &mut work.gradient);
+        let curved = dot(&work.gradient, &work.step);
+        let straight = dot(&work.gradient, &self.accelerations) - dot(&work.step, &self.pull);
+        let (mut low, mut high) = ((0.0, slope), None);
+        let mut length = 1.0;
+        for attempt in 0..MOST_LENGTHS {
+            let at = straight + length * curved - self.work_of_forces(length);
+            if at.abs() <= FLAT * slope.abs() {
+                break;
+            }
+            if at < 0.0 {
+                low = (length, at);
+            } else {
+                high = Some((length, at));
+            }
+            length = match high {
+                None => 2.0 * length,
+                Some((end, _)) if attempt % 2 == 1 => 0.5 * (low.0 + end),
+                Some((end, above)) => low.0 + (end - low.0) * low.1 / (low.1 - above),
+            };
+        }
+        length
+    }
+
+    /// Product of the forces at a length with the rows' changes per length.
+    fn work_of_forces(&mut self, length: f64) -> f64 {
+        let work = &mut self.work;
+        work.tried.clear();
+        let residuals = work.residuals.iter().zip(&work.changes);
+        work.tried.extend(residuals.map(|(residual, change)| residual + length * change));
+        let mut sum = 0.0;
+        let mut forces = [0.0; MOST_ROWS];
+        for constraint in &self.constraints {
+            let rows = constraint.first..constraint.first + constraint.count;
+            let forces = &mut forces[..constraint.count];
+            constraint.kind.force(&work.tried[rows.clone()], &self.weights[rows.clone()], forces);
+            sum += dot(forces, &work.changes[rows]);
+        }
+        sum
+    }
+}
+
+impl Kind {
+    /// Forces for the residuals `J a - a_ref` and the weights `1 / R`.
+    fn force(&self, residuals: &[f64], weights: &[f64], forces: &mut [f64]) {
+        if let (Self::Cone { mu, friction }, Zone::Surface) = (self, self.zone(residuals, weights))
+        {
+            let (normal, slide, scaled) = scaled(*mu, friction, residuals);
+            let depth = weights[0] / (mu * mu * (1.0 + mu * mu)) * (normal - mu * slide);
+            forces[0] = -depth * mu;
+            for k in 1..forces.len() {
+                forces[k] = depth * mu * scaled[k] / slide * friction[k - 1];
+            }
+            return;
+        }
+        let square = residuals.iter().zip(weights).map(|(residual, weight)| -residual * weight);
+        forces.iter_mut().zip(square).for_each(|(force, square)| *force = square);
+        match self {
+            Self::Push => forces[0] = forces[0].max(0.0),
+            Self::Bounded(most) => forces[0] = forces[0].clamp(-most, *most),
+            Self::Cone { .. } if self.zone(residuals, weights) == Zone::Flat => forces.fill(0.0),
+            Self::Cone { .. } => {}
+        }
+    }
+
+    fn zone(&self, residuals: &[f64], weights: &[f64]) -> Zone {
+        let is_square = match self {
+            Self::Push => residuals[0] < 0.0,
+            Self::Bounded(most) => (residuals[0] * weights[0]).abs() < *most,
+            Self::Cone { mu, friction } => {
+                let (normal, slide, _) = scaled(*mu, friction, residuals);
+                if normal >= mu * slide {
+                    return Zone::Flat;
+                }
+                if mu * normal + slide > 0.0 {
+                    return Zone::Surface;
+                }
+                true
+            }
+        };
+        if is_square { Zone::Square } else { Zone::Flat }
+    }
+
+    /// Second derivatives of the cost on the surface of a cone.
+    fn curvature(&self, residuals: &[f64], weights: &[f64]) -> [[f64; MOST_ROWS]; MOST_ROWS] {
+        let mut curvature = [[0.0; MOST_ROWS]; MOST_ROWS];
+        let Self::Cone { mu, friction } = self else { return curvature };
+        let (normal, slide, along) = scaled(*mu, friction, residuals);
+        let scale = |k: usize| if k == 0 { *mu } else { friction[k - 1] };
+        let depth = weights[0] / (mu * mu * (1.0 + mu * mu));
+        for i in 0..residuals.len() {
+            for j in 0..residuals.len() {
+                let number = match (i, j) {
+                    (0, 0) => 1.0,
+                    (0, k) | (k, 0) => -mu * along[k] / slide,
+                    _ => {
+                        let across = if i == j { mu * mu - mu * normal / slide } else { 0.0 };
+                        across + mu * normal * along[i] * along[j] / (slide * slide * slide)
+                    }
+                };
+                curvature[i][j] = depth * scale(i) * scale(j) * number;
+            }
+        }
+        curvature
+    }
+}
+
+/// Residuals in the coordinates in which the cone is round: the normal's, the length of the others, and all.
+fn scaled(
+    mu: f64,
+    friction: &[f64; MOST_ROWS - 1],
+    residuals: &[f64],
+) -> (f64, f64, [f64; MOST_ROWS]) {
+    let mut scaled = [0.0; MOST_ROWS];
+    scaled[0] = mu * residuals[0];
+    for k in 1..residuals.len() {
+        scaled[k] = friction[k - 1] * residuals[k];
+    }
+    (scaled[0], dot(&scaled[1..], &scaled[1..]).sqrt(), scaled)
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).fold(0.0, |sum, (a, b)| sum + a * b)
+}
+
+fn add_scaled(out: &mut [f64], factor: f64, numbers: &[f64]) {
+    out.iter_mut().zip(numbers).for_each(|(out, number)| *out += factor * number);
+}
+
+/// Adds `factor a b^T` to the lower half of a matrix.
+pub(super) fn add_product(matrix: &mut [f64], factor: f64, a: &[f64], b: &[f64]) {
+    for (index, (line, number)) in matrix.chunks_exact_mut(a.len()).zip(a).enumerate() {
+        if *number != 0.0 {
+            add_scaled(&mut line[..=index], factor * number, b);
+        }
+    }
+}
+
+/// Product of a symmetric matrix, of which the lower half is read, with a vector.
+pub(super) fn multiply(matrix: &[f64], vector: &[f64], out: &mut [f64]) {
+    out.fill(0.0);
+    for (index, line) in matrix.chunks_exact(vector.len()).enumerate() {
+        out[index] += dot(&line[..=index], vector);
+        add_scaled(&mut out[..index], vector[index], line);
+    }
+}
+
+/// Replaces the lower half of a positive definite matrix by its Cholesky factor.
+pub(super) fn factorise(matrix: &mut [f64], size: usize) {
+    for index in 0..size {
+        let (done, rest) = matrix.split_at_mut(index * size);
+        let line = &mut rest[..size];
+        for column in 0..index {
+            let other = &done[column * size..][..=column];
+            line[column] = (line[column] - dot(&line[..column], other)) / other[column];
+        }
+        line[index] = (line[index] - dot(&line[..index], &line[..index])).sqrt();
+    }
+}
+
+/// Solves a system with a Cholesky factor.
+pub(super) fn substitute(factor: &[f64], vector: &mut [f64]) {
+    let size = vector.len();
+    for index in 0..size {
+        let line = &factor[index * size..][..=index];
+        vector[index] = (vector[index] - dot(&line[..index], vector)) / line[index];
+    }
+    for index in (0..size).rev() {
+        let line = &factor[index * size..][..=index];
+        vector[index] /= line[index];
+        let number = vector[index];
+        add_scaled(&mut vector[..index], -number, line);
+    }
+}

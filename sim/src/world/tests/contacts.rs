@@ -1,0 +1,53 @@
+//! Tests of contacts, joint limits and dry friction against motion that MuJoCo computes.
+
+use super::{World, motion, world_of};
+
+/// Models with their motion in MuJoCo.
+fn reference() -> serde_json::Value {
+    serde_json::from_str(include_str!("../../../tests/data/mujoco-contacts.json")).unwrap()
+}
+
+fn numbers(value: &serde_json::Value) -> Vec<f32> {
+    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap() as f32).collect()
+}
+
+/// Largest difference of two motions' coordinates; a quaternion and its negative are the same rotation.
+fn difference(got: &[f32], expected: &[f32]) -> f32 {
+    let most = |sign: f32| {
+        let differences = got.iter().zip(expected).enumerate().map(|(index, (a, b))| {
+            let is_rotation = got.len() >= 7 && (3..7).contains(&index);
+            (a - if is_rotation { sign * b } else { *b }).abs()
+        });
+        differences.fold(0.0, f32::max)
+    };
+    most(1.0).min(most(-1.0))
+}
+
+fn start(world: &mut World, speeds: &[f32]) {
+    let (at, mut velocities) = motion(world);
+    velocities[..speeds.len()].copy_from_slice(speeds);
+    world.rebuild(&at, &velocities);
+}
+
+#[test]
+fn contacts_limits_and_dry_friction_move_robots_as_in_mujoco() {
+    let reference = reference();
+    let steps = numbers(&reference["steps"]);
+    for (name, model) in reference["models"].as_object().unwrap() {
+        let mut world = world_of(model["mjcf"].as_str().unwrap());
+        start(&mut world, &numbers(&model["speeds"]));
+        // The engines integrate the motion of several links differently without constraints, too.
+        let is_one_body = name.contains("ball") || name.starts_with("block");
+        let most = if is_one_body { 2e-5 } else { 2e-2 };
+        let mut step = 0;
+        for (last, expected) in steps.iter().zip(model["coordinates"].as_array().unwrap()) {
+            while step < *last as u32 {
+                assert!(world.step(&[]), "{name}");
+                step += 1;
+            }
+            let (got, expected) = (motion(&world).0, numbers(expected));
+            let off = difference(&got, &expected);
+            assert!(off < most, "{name}, step {step}: {got:?} against {expected:?}");
+        }
+    }
+}

@@ -1,0 +1,121 @@
+"""Writes sim/tests/data/mujoco-contacts.json: how small models with contacts, limits and dry friction move in MuJoCo.
+
+    python -m venv venv && venv/bin/pip install mujoco==4.0.0
+    venv/bin/python tests/reference/mujoco_contacts.py
+"""
+
+import json
+import pathlib
+
+import mujoco
+
+STEPS = [50, 150, 300, 500]
+FLOOR = '<geom name="floor" type="plane" size="1 1 1" {floor}/>'
+
+
+def document(bodies, option="", floor="", sections=""):
+    return (
+        f'<mujoco><compiler angle="radian"/><option timestep="0.002" {option}/>{sections}\n'
+        f"<worldbody>{FLOOR.format(floor=floor)}\n{bodies}</worldbody></mujoco>"
+    )
+
+
+def ball(geom, option="", height=0.1):
+    body = (
+        f'<body pos="0 0 {height}"><freejoint name="root"/><geom size="0.1" mass="10" {geom}/></body>'
+    )
+    return document(body, option, geom)
+
+
+def block(option, feet="", angle=0.35, speed=""):
+    """A block on four spherical feet on a slope."""
+    places = [(x, y) for x in (-0.1, 0.1) for y in (-0.1, 0.1)]
+    spheres = "".join(f'<geom size="0.02" pos="{x} {y} -0.03" mass="0" {feet}/>' for x, y in places)
+    body = (
+        '<body pos="0.0171 0 0.047" euler="0 0.35 0"><freejoint name="root"/>'
+        '<geom type="box" size="0.1 0.1 0.03" mass="10" contype="0" conaffinity="0"/>'
+        f"{spheres}</body>"
+    )
+    return document(body, option, f'euler="0 {angle} 0"')
+
+
+def arm(joint, option=""):
+    """An arm that falls from level."""
+    body = (
+        f'<body pos="0 0 2"><joint axis="0 1 0" {joint}/>'
+        '<geom type="capsule" size="0.03" fromto="0 0 0 0.5 0 0" mass="1"/>'
+        f'<body pos="0.5 0 0"><joint axis="0 1 0" {joint}/>'
+        '<geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0" mass="0.4"/></body></body>'
+    )
+    return document(body, option)
+
+
+CAPSULE = (
+    '<body pos="0 0 0.3" euler="0.3 0.4 0.5"><freejoint name="root"/>'
+    '<geom type="capsule" size="0.05 0.2" density="500"/>'
+    '<body pos="0 0 0.2"><joint axis="1 0 0" damping="0.05" range="-1 1"/>'
+    '<geom type="capsule" size="0.03" fromto="0 0 0 0 0.3 0" density="500"/>'
+    '<body pos="0 0.3 0"><geom size="0.04" density="300"/></body></body></body>'
+)
+SOFT = "0.015 1 0.031"
+
+# Name: the document, and velocities at the start.
+MODELS = {
+    "soft ball": (ball(f'condim="1" solimp="{SOFT}"'), None),
+    "softer ball": (ball('condim="1" solimp="0.2 0.2 0.001"'), None),
+    "ball on a curve of power 3": (ball('condim="1" solimp="0.1 0.99 0.02 0.3 3"'), None),
+    "ball on a linear curve": (ball('condim="1" solimp="0.1 0.99 0.02 0.5 1"'), None),
+    "underdamped ball": (ball('condim="1" solref="0.04 0.3"'), None),
+    "ball with a stated stiffness": (ball('condim="1" solref="-3000 -20"'), None),
+    "ball with a margin": (ball('condim="1" margin="0.005"', height=0.12), None),
+    "dropped ball": (ball('condim="1"', height=0.25), None),
+    "ball that spins and rolls": (
+        ball('condim="6" friction="0.6 0.05 0.02"', height=0.0999),
+        [0.5, 0.2, 0, 1, 2, 5],
+    ),
+    "ball that spins in an elliptic cone": (
+        ball('condim="4" friction="0.6 0.05 0.02"', 'cone="elliptic"', height=0.0999),
+        [0.5, 0.2, 0, 1, 2, 5],
+    ),
+    "block on a slope": (block(""), None),
+    "block with impratio": (block('impratio="100"'), None),
+    "block in an elliptic cone": (block('cone="elliptic" impratio="10"'), None),
+    "block that slides": (block("", 'friction="0.2"').replace("<geom name", '<geom friction="0.2" name'), None),
+    "block that slides in an elliptic cone": (
+        block('cone="elliptic"', 'friction="0.2"').replace("<geom name", '<geom friction="0.2" name'),
+        [0, 0.5, 0, 0, 0, 0],
+    ),
+    "capsules": (document(CAPSULE), None),
+    "capsules with the Runge-Kutta integrator": (document(CAPSULE, 'integrator="RK4"'), None),
+    "limits": (arm('range="-0.4 0.5" damping="0.2"'), None),
+    "soft limits": (arm('range="-0.4 0.5" solimplimit="0.1 0.9 0.2" solreflimit="0.05 0.7"'), None),
+    "dry friction": (arm('frictionloss="1.5"'), None),
+    "soft dry friction": (arm('frictionloss="6" solimpfriction="0.3 0.3 1" damping="0.1"'), None),
+}
+
+
+def coordinates(mjcf, speeds):
+    model = mujoco.MjModel.from_xml_string(mjcf)
+    data = mujoco.MjData(model)
+    if speeds:
+        data.qvel[: len(speeds)] = speeds
+    found = []
+    for step in range(1, STEPS[-1] + 1):
+        mujoco.mj_step(model, data)
+        if step in STEPS:
+            found.append(data.qpos.tolist())
+    return found
+
+
+def main():
+    out = pathlib.Path(__file__).resolve().parents[2] / "sim" / "tests" / "data" / "mujoco-contacts.json"
+    models = {
+        name: {"mjcf": mjcf, "speeds": speeds or [], "coordinates": coordinates(mjcf, speeds)}
+        for name, (mjcf, speeds) in MODELS.items()
+    }
+    document = {"mujoco": mujoco.__version__, "steps": STEPS, "models": models}
+    out.write_text(json.dumps(document, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
