@@ -99,27 +99,6 @@ fn every_width_of_this_processor_gives_the_bits_of_the_scalar_code() {
 }
 
 #[test]
-fn the_states_of_a_pass_are_the_last_states_of_passes_that_end_after_each_step() {
-    let (network, count, rows) = (gru(5, 18, 2), 3, 15);
-    let packed = Packed::new(&network, &numbers(network.parameters(), 1));
-    let (input, start) = (numbers(rows * 5, 2), numbers(count * 18, 3));
-    let mask: Vec<f32> = (0..rows).map(|row| f32::from(u8::from(row % 7 != 3))).collect();
-    let (layer, _) = network.gru().unwrap();
-    let mut workspace = Workspace::default();
-    let mut forward = |until: usize| {
-        let sequences = Some(SequenceLayout { start: &start, mask: &mask[..until], count });
-        packed.forward(Input { rows: &input[..until * 5], sequences }, &mut workspace);
-        let (mut all, mut last) = (Vec::new(), Vec::new());
-        workspace.append_states(layer, &mut all);
-        workspace.append_last_states(layer, count, &mut last);
-        (all, last)
-    };
-    let steps = (1..=rows / count).flat_map(|step| forward(step * count).1).collect::<Vec<_>>();
-    assert_eq!(steps.len(), rows * 18);
-    assert_eq!(forward(rows).0, steps);
-}
-
-#[test]
 fn gradients_are_one_chain_over_rows_in_any_batch() {
     let network = normed_mlp(19, 48, 3);
     let packed = Packed::new(&network, &numbers(network.parameters(), 1));

@@ -102,12 +102,7 @@ mod tests {
     use super::*;
 
     fn valid() -> PolicyConfig {
-        PolicyConfig {
-            width: 128,
-            layers: 3,
-            head_gain: 0.01,
-            ..crate::probe::config(CoreKind::Gru)
-        }
+        crate::probe::config(CoreKind::Gru)
     }
 
     #[test]

@@ -158,15 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_keep_the_order_of_their_declaration() {
-        let names: Vec<String> =
-            parameters().spans().iter().map(|span| span.name.clone()).collect();
-        assert_eq!(names, ["z", "a"]);
-        assert_eq!(parameters().vars().len(), 2);
-    }
-
-    #[test]
-    fn values_are_set_and_become_arrays_with_their_names() {
+    fn values_are_set_in_the_order_of_declaration_and_become_arrays_with_their_names() {
         let target = parameters();
         target.set(vec![vec![5.0, 6.0], vec![7.0, 8.0]]).expect("two numbers each");
         let one = |data: Vec<f32>| Array::F32 { shape: vec![2], data };

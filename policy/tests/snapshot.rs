@@ -39,13 +39,38 @@ fn refusal(arrays: &NamedArrays, metadata: &BTreeMap<String, String>) -> String 
 }
 
 #[test]
-fn a_snapshot_acts_alike_after_a_round_trip_and_equal_policies_have_equal_bytes() {
-    let (original, bytes) = (snapshot(), snapshot().to_bytes().unwrap());
+fn a_snapshot_says_how_to_act_after_a_round_trip_and_equal_policies_have_equal_bytes() {
+    let deterministic = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
+    let exploring = agent(CoreKind::Mlp, 2, deterministic);
+    let choosing = agent(CoreKind::Gru, 1, Head::Categorical { choices: 5 });
+    let mut original = snapshot();
+    original.agents.extend([exploring.clone(), exploring.uniform(), choosing]);
+    let bytes = original.to_bytes().unwrap();
     let back = PolicySnapshot::from_bytes(&bytes).unwrap();
     assert_eq!(back.to_bytes().unwrap(), bytes);
-    for (one, two) in original.agents.iter().zip(&back.agents) {
-        assert_eq!((run(one), one.sigma()), (run(two), two.sigma()));
+    let heads = [
+        Head::Gaussian,
+        Head::Gaussian,
+        deterministic,
+        Head::Uniform { low: -1.0, high: 3.0 },
+        Head::Categorical { choices: 5 },
+    ];
+    for ((one, two), head) in original.agents.iter().zip(&back.agents).zip(heads) {
+        assert_eq!((two.spec().head(), run(two), two.sigma()), (head, run(one), one.sigma()));
     }
+    // A deterministic actor has no deviations to learn, and one of choices has none.
+    assert!(!back.agents[2].arrays().contains_key("head.log_std"));
+    assert_eq!(back.agents[2].sigma(), [0.1, 0.1]);
+    assert_eq!(run(&back.agents[2]), run(&back.agents[3]));
+    assert_eq!((back.agents[4].action_size(), back.agents[4].sigma().len()), (1, 0));
+}
+
+#[test]
+fn the_first_of_the_likeliest_choices_is_the_mode() {
+    let mut action = [9.0];
+    let choosing = agent(CoreKind::Gru, 1, Head::Categorical { choices: 5 });
+    choosing.mode(&[0.1, -2.0, 0.7, 0.7, 0.2], &mut action);
+    assert_eq!(action, [2.0]);
 }
 
 #[test]
@@ -61,34 +86,6 @@ fn a_later_agent_with_the_first_ones_network_repeats_its_bytes() {
     let [Repeat { at, of, length }] = found[..] else { panic!("one repeat, not {found:?}") };
     assert_eq!((length, at + length), (size, bytes.len()));
     assert_eq!(bytes[at..], bytes[of..of + length]);
-}
-
-#[test]
-fn the_snapshot_says_how_to_act_and_a_deterministic_actor_has_no_deviations_to_learn() {
-    let head = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
-    let exploring = agent(CoreKind::Mlp, 2, head);
-    assert!(!exploring.arrays().contains_key("head.log_std"));
-    assert_eq!(exploring.sigma(), [0.1, 0.1]);
-    let agents = vec![exploring.clone(), exploring.clone().uniform()];
-    let back = PolicySnapshot::from_bytes(&PolicySnapshot { agents }.to_bytes().unwrap()).unwrap();
-    let heads = [head, Head::Uniform { low: -1.0, high: 3.0 }];
-    for (agent, head) in back.agents.iter().zip(heads) {
-        assert_eq!((agent.spec().head(), run(agent)), (head, run(&exploring)));
-    }
-}
-
-#[test]
-fn a_categorical_head_is_named_after_a_round_trip_and_settles_on_the_likeliest_choice() {
-    let head = Head::Categorical { choices: 5 };
-    let agents = vec![agent(CoreKind::Gru, 1, head)];
-    let bytes = PolicySnapshot { agents }.to_bytes().unwrap();
-    let back = PolicySnapshot::from_bytes(&bytes).unwrap();
-    assert_eq!(back.to_bytes().unwrap(), bytes);
-    let agent = &back.agents[0];
-    assert_eq!((agent.head(), agent.action_size(), agent.sigma().len()), (head, 1, 0));
-    let mut action = [9.0];
-    agent.mode(&[0.1, -2.0, 0.7, 0.7, 0.2], &mut action);
-    assert_eq!(action, [2.0]);
 }
 
 #[test]

@@ -28,14 +28,6 @@ fn fit(density: &mut dyn Density, data: &[f32], width: usize, iteration: u64) ->
     density.log_prob(observations, at(iteration)).unwrap()
 }
 
-fn arrays(density: &mut dyn Density) -> NamedArrays {
-    saved("", |visitor| density.visit("density/", visitor)).unwrap()
-}
-
-fn restore(density: &mut dyn Density, arrays: &NamedArrays) -> Result<(), MarlError> {
-    restored(arrays, |visitor| density.visit("density/", visitor)).map(drop)
-}
-
 /// The entropy bound of a density on the rows it is fitted on, nats.
 fn found_entropy(kind: DensityKind, data: &[f32], width: usize) -> f64 {
     entropy_bound(&fit(density(kind, width).as_mut(), data, width, 0))
@@ -117,6 +109,10 @@ fn an_autoencoder_continues_training_from_iteration_to_iteration() {
     assert!(bounds[19] < gaussian - 0.3, "{bounds:?} {gaussian}");
 }
 
+fn arrays(density: &mut dyn Density) -> NamedArrays {
+    saved("", |visitor| density.visit("density/", visitor)).unwrap()
+}
+
 #[test]
 fn a_restored_density_continues_bit_for_bit_whatever_its_previous_state() {
     let (first, second) = (normal_pairs(), normals(2 * ROWS));
@@ -124,14 +120,15 @@ fn a_restored_density_continues_bit_for_bit_whatever_its_previous_state() {
         let (mut kept, mut other) = (density(kind, 2), density(kind, 2));
         fit(kept.as_mut(), &first, 2, 0);
         fit(other.as_mut(), &second, 2, 5);
-        restore(other.as_mut(), &arrays(kept.as_mut())).unwrap();
+        let stored = arrays(kept.as_mut());
+        restored(&stored, |visitor| other.visit("density/", visitor)).unwrap();
         let queries = Observations { data: &second, width: 2 };
         assert_eq!(kept.log_prob(queries, at(1)).unwrap(), other.log_prob(queries, at(1)).unwrap());
         let (mine, yours) = (fit(kept.as_mut(), &second, 2, 1), fit(other.as_mut(), &second, 2, 1));
         assert_eq!(mine, yours, "{kind:?}");
         assert_eq!(arrays(kept.as_mut()), arrays(other.as_mut()), "{kind:?}");
-        let error = restore(other.as_mut(), &NamedArrays::new()).unwrap_err().to_string();
-        assert!(error.contains("density/"), "{kind:?} {error}");
+        let nothing = restored(&NamedArrays::new(), |visitor| other.visit("density/", visitor));
+        assert!(nothing.unwrap_err().to_string().contains("density/"), "{kind:?}");
     }
 }
 
@@ -149,16 +146,12 @@ fn every_density_gives_the_same_bits_on_one_two_and_three_threads() {
 }
 
 #[test]
-fn constant_features_are_left_out_and_constant_rows_have_finite_scores() {
+fn constant_features_are_left_out() {
     let data: Vec<f32> = normals(300).into_iter().flat_map(|z| [z, 2.0]).collect();
-    let same = [0.5, -0.5].repeat(50);
     for kind in KINDS {
         let mut masked = density(kind, 2);
-        fit(masked.as_mut(), &data, 2, 0);
+        let found = fit(masked.as_mut(), &data, 2, 0);
         assert_eq!(masked.features(), (1, 1));
-        for rows in [&data, &same, &same[..2].to_vec()] {
-            let found = fit(density(kind, 2).as_mut(), rows, 2, 0);
-            assert!(found.iter().all(|l| l.is_finite()), "{kind:?} {found:?}");
-        }
+        assert!(found.iter().all(|l| l.is_finite()), "{kind:?} {found:?}");
     }
 }

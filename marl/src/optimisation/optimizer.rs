@@ -185,53 +185,14 @@ mod tests {
         parameters
     }
 
-    /// Gradients of two parameters with one element each.
-    fn gradients(numbers: [f32; 2]) -> Gradients {
-        Gradients(numbers.map(|x| vec![x]).to_vec())
-    }
-
-    fn values(parameters: &Parameters) -> [f32; 2] {
-        [0, 1].map(|index| parameters.vars()[index].as_tensor().to_vec1().unwrap()[0])
-    }
-
-    fn close(found: [f32; 2], expected: [f32; 2]) {
-        let near = found.iter().zip(expected).all(|(found, x)| (found - x).abs() < 1e-6);
-        assert!(near, "{found:?}, expected {expected:?}");
-    }
-
-    #[test]
-    fn two_steps_match_a_worked_case() {
-        let parameters = zeros();
-        let mut adam = Adam::new(CONFIG, &parameters);
-        // With m = .1 g and v = .001 g^2 over 1 - b1 = .1 and 1 - b2 = .001, each step is g / |g| times .1.
-        adam.step(&parameters, &gradients([1.0, -2.0])).unwrap();
-        close(values(&parameters), [-0.1, 0.1]);
-        // a: m = .09 + .3 = .39, over .19 is 2.052632; v = .000999 + .009 = .009999, over
-        // .001999 is 5.002001, root 2.236516; .1 * 2.052632 / 2.236516 = .0917781. b: m = -.18 over
-        // .19 is -.947368; v = .003996 over .001999 is 1.998999, root 1.413860; ratio -.670058.
-        adam.step(&parameters, &gradients([3.0, 0.0])).unwrap();
-        close(values(&parameters), [-0.191_778_1, 0.167_005_8]);
-    }
-
-    #[test]
-    fn a_gradient_is_clipped_by_its_global_norm_and_reported_before_clipping() {
-        for (most, first) in [(1.0, [0.06, 0.08]), (100.0, [0.3, 0.4])] {
-            let parameters = zeros();
-            let config = AdamConfig { max_gradient_norm: most, ..CONFIG };
-            let mut adam = Adam::new(config, &parameters);
-            // The norm of (3, 4) is 5. The first moment is a tenth of the clipped gradient.
-            assert_eq!(adam.step(&parameters, &gradients([3.0, 4.0])).unwrap(), 5.0);
-            close([adam.first[0][0], adam.first[1][0]], first);
-        }
-    }
-
     #[test]
     fn a_step_with_a_nan_gradient_is_skipped_and_counted() {
         let parameters = zeros();
         let mut adam = Adam::new(CONFIG, &parameters);
-        let norm = adam.step(&parameters, &gradients([1.0, f32::NAN])).unwrap();
+        let gradients = Gradients(vec![vec![1.0], vec![f32::NAN]]);
+        let norm = adam.step(&parameters, &gradients).unwrap();
         assert!(norm.is_nan() && adam.skipped() == 1 && adam.steps == 0);
-        assert_eq!(values(&parameters), [0.0, 0.0]);
+        assert_eq!(parameters.values().unwrap(), [[0.0], [0.0]]);
     }
 
     #[test]

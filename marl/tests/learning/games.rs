@@ -4,7 +4,7 @@ use marl::ActionKind;
 use policy::{PolicySnapshot, standard_normal};
 use rand::RngCore;
 
-use crate::harness::{TwoAgentGame, evaluate, train};
+use crate::harness::{TwoAgentGame, evaluate, mean_return, train};
 use crate::settings::{happo_with_one_network, maddpg, on_policy};
 
 const CHOICES: usize = 3;
@@ -91,7 +91,7 @@ impl TwoAgentGame for Meeting {
 
 /// Mean reward of the mean actions.
 fn mean_reward<W: TwoAgentGame>(snapshot: &PolicySnapshot) -> f32 {
-    evaluate::<W>(snapshot, |turn| turn.mode_action()).mean_return() / W::STEPS as f32
+    mean_return(&evaluate::<W>(snapshot, |turn| turn.mode_action()).0) / W::STEPS as f32
 }
 
 #[test]

@@ -62,17 +62,9 @@ impl Turn<'_> {
     }
 }
 
-/// One episode in every environment, and the final worlds.
-pub(crate) struct Played<W> {
-    pub(crate) batch: Batch,
-    pub(crate) worlds: Vec<W>,
-}
-
-impl<W> Played<W> {
-    /// Mean undiscounted return of the episodes.
-    pub(crate) fn mean_return(&self) -> f32 {
-        self.batch.reward.iter().sum::<f32>() / ENVIRONMENTS as f32
-    }
+/// Mean undiscounted return of the episodes.
+pub(crate) fn mean_return(batch: &Batch) -> f32 {
+    batch.reward.iter().sum::<f32>() / ENVIRONMENTS as f32
 }
 
 /// Sizes as a task declares them.
@@ -120,12 +112,12 @@ fn act<W: TwoAgentGame>(
     data.observation.extend(seen);
 }
 
-/// Plays one episode in each of `worlds`; `choose` chooses the actions.
+/// Plays one episode in each of `worlds`, and returns their final states; `choose` chooses the actions.
 fn play<W: TwoAgentGame>(
     snapshot: &PolicySnapshot,
     mut worlds: Vec<W>,
     mut choose: impl FnMut(Turn<'_>) -> f32,
-) -> Played<W> {
+) -> (Batch, Vec<W>) {
     let rows = W::STEPS * ENVIRONMENTS;
     let mut batch = Batch {
         steps: W::STEPS,
@@ -149,7 +141,7 @@ fn play<W: TwoAgentGame>(
         }
     }
     batch.finals = worlds.iter().enumerate().map(last).collect();
-    Played { batch, worlds }
+    (batch, worlds)
 }
 
 fn last<W: TwoAgentGame>((environment, world): (usize, &W)) -> Final {
@@ -161,7 +153,7 @@ fn last<W: TwoAgentGame>((environment, world): (usize, &W)) -> Final {
 pub(crate) fn evaluate<W: TwoAgentGame>(
     snapshot: &PolicySnapshot,
     choose: impl FnMut(Turn<'_>) -> f32,
-) -> Played<W> {
+) -> (Batch, Vec<W>) {
     play(snapshot, begin(Draw::of(Purpose::EvaluationReset)), choose)
 }
 
@@ -183,7 +175,7 @@ pub(crate) fn train<W: TwoAgentGame>(settings: &Settings, iterations: u64) -> [P
 fn learn<W: TwoAgentGame>(surprise: &mut Surprise, algorithm: &mut dyn Algorithm, iteration: u64) {
     let worlds = begin::<W>(Draw::of(Purpose::Reset).iteration(iteration));
     let draw = |turn: Turn<'_>| turn.sampled_action(iteration);
-    let batch = play(&algorithm.snapshot().unwrap(), worlds, draw).batch;
+    let batch = play(&algorithm.snapshot().unwrap(), worlds, draw).0;
     surprise.refit(&batch, iteration).unwrap();
     algorithm.update(&batch, &surprise.relabel(&batch), iteration).unwrap();
 }

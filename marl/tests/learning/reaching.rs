@@ -5,7 +5,7 @@ use policy::PolicySnapshot;
 use policy::randomness::uniform;
 use rand::RngCore;
 
-use crate::harness::{TwoAgentGame, evaluate, train};
+use crate::harness::{TwoAgentGame, evaluate, mean_return, train};
 use crate::settings::{maddpg, on_policy};
 
 /// Displacement of the point by a full action of each agent. The two are neither equal nor orthogonal, so the best
@@ -52,11 +52,10 @@ impl TwoAgentGame for Reaching {
 /// Final distance from the target with mean actions, and the return as a fraction of the best one; both averaged over
 /// episodes.
 fn skill(snapshot: &PolicySnapshot) -> (f32, f32) {
-    let played = evaluate::<Reaching>(snapshot, |turn| turn.mode_action());
-    let mean = |number: fn(&Reaching) -> f32| {
-        played.worlds.iter().map(number).sum::<f32>() / played.worlds.len() as f32
-    };
-    (mean(|world| length(world.offset)), played.mean_return() / mean(|world| world.first))
+    let (batch, worlds) = evaluate::<Reaching>(snapshot, |turn| turn.mode_action());
+    let mean =
+        |number: fn(&Reaching) -> f32| worlds.iter().map(number).sum::<f32>() / worlds.len() as f32;
+    (mean(|world| length(world.offset)), mean_return(&batch) / mean(|world| world.first))
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The learning rules under test, and sizes with which a small task is learnt in a second.
 
+use marl::TrainingConfig;
 use marl::config::{Rule, Sharing};
-use marl::{CriticConfig, InfluenceConfig, MaddpgConfig, TrainingConfig, UpdateConfig};
 use policy::{CoreKind, PolicyConfig};
 
 use crate::fixture;
@@ -62,30 +62,22 @@ fn policy(core: CoreKind) -> PolicyConfig {
 }
 
 fn config(rule: Rule) -> TrainingConfig {
-    let usual = fixture::config(rule);
-    TrainingConfig {
-        update: UpdateConfig { learning_rate: 5e-3, ..usual.update },
-        critic: CriticConfig {
-            width: 32,
-            learning_rate: 5e-3,
-            minibatches: 1,
-            normalizer_beta: 0.9,
-            ..usual.critic
-        },
-        influence: InfluenceConfig {
-            epochs: 5,
-            learning_rate: 5e-3,
-            minibatches: 1,
-            ..usual.influence
-        },
-        maddpg: MaddpgConfig {
-            replay: 20_000,
-            warm_up: 1000,
-            updates_per_step: 0.2,
-            noise: 0.2,
-            polyak: 0.02,
-            ..usual.maddpg
-        },
-        ..usual
-    }
+    let mut config = fixture::config(rule);
+    config.update.learning_rate = 5e-3;
+    let critic = &mut config.critic;
+    critic.width = 32;
+    critic.minibatches = 1;
+    critic.learning_rate = 5e-3;
+    critic.normalizer_beta = 0.9;
+    let influence = &mut config.influence;
+    influence.epochs = 5;
+    influence.minibatches = 1;
+    influence.learning_rate = 5e-3;
+    let maddpg = &mut config.maddpg;
+    maddpg.replay = 20_000;
+    maddpg.warm_up = 1000;
+    maddpg.updates_per_step = 0.2;
+    maddpg.noise = 0.2;
+    maddpg.polyak = 0.02;
+    config
 }

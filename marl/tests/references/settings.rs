@@ -1,10 +1,7 @@
 //! Settings of the reference updates: those of the file, and sizes from its arrays.
 
 use marl::config::{Rule, Sharing};
-use marl::{
-    ActionKind, AgentBatch, AgentShape, Batch, CriticConfig, Final, InfluenceConfig, MaddpgConfig,
-    Problem, SurpriseConfig, TrainingConfig, UpdateConfig,
-};
+use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, TrainingConfig};
 use policy::{CoreKind, PolicyConfig};
 
 use crate::file::Reference;
@@ -39,67 +36,50 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
     }
 }
 
-/// Surprise has a weight, so that there is a value per agent. The rewards are those of the file.
+/// Surprise has a weight, so that there is a value per agent. The rewards are those of the file. MADDPG makes one
+/// optimiser step from an iteration of 50 transitions.
 pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> TrainingConfig {
     let number = |key: &str| reference.setting(key);
-    let usual = fixture::config(rule);
-    TrainingConfig {
-        update: UpdateConfig {
-            parameters,
-            gamma: number("update.gamma"),
-            gae_lambda: number("update.gae_lambda"),
-            learning_rate: number("update.learning_rate"),
-            adam_epsilon: number("update.adam_epsilon"),
-            clip: number("update.clip"),
-            epochs: number("update.epochs") as usize,
-            entropy: number("update.entropy"),
-            max_gradient_norm: number("update.max_gradient_norm"),
-            ..usual.update
-        },
-        critic: CriticConfig {
-            layers: 2,
-            width: 7,
-            learning_rate: number("critic.learning_rate"),
-            epochs: number("critic.epochs") as usize,
-            minibatches: 1,
-            clip: number("critic.clip"),
-            huber_delta: number("critic.huber_delta"),
-            normalizer_beta: number("critic.normalizer_beta"),
-            max_gradient_norm: number("critic.max_gradient_norm"),
-            ..usual.critic
-        },
-        surprise: SurpriseConfig { alpha: 0.01, ..usual.surprise },
-        influence: influence(reference, usual.influence),
-        maddpg: maddpg(reference, usual.maddpg),
-    }
-}
-
-fn influence(reference: &Reference, usual: InfluenceConfig) -> InfluenceConfig {
-    InfluenceConfig {
-        lambda: reference.setting("influence.lambda"),
-        kappa: reference.setting("influence.kappa"),
-        encoder: 5,
-        hidden: 6,
-        epochs: reference.setting("influence.epochs") as usize,
-        learning_rate: reference.setting("influence.learning_rate"),
-        minibatches: 1,
-        posterior_sigma_floor: reference.setting("policy.sigma_floor"),
-        holdout_every: reference.setting("influence.holdout_every") as usize,
-        ..usual
-    }
-}
-
-/// One optimiser step from an iteration of 50 transitions.
-fn maddpg(reference: &Reference, usual: MaddpgConfig) -> MaddpgConfig {
-    MaddpgConfig {
-        replay: 50,
-        batch: 16,
-        n_step: reference.setting("maddpg.n_step") as usize,
-        warm_up: 0,
-        updates_per_step: 0.02,
-        polyak: reference.setting("maddpg.polyak"),
-        ..usual
-    }
+    let mut config = fixture::config(rule);
+    let update = &mut config.update;
+    update.parameters = parameters;
+    update.gamma = number("update.gamma");
+    update.gae_lambda = number("update.gae_lambda");
+    update.learning_rate = number("update.learning_rate");
+    update.adam_epsilon = number("update.adam_epsilon");
+    update.clip = number("update.clip");
+    update.epochs = number("update.epochs") as usize;
+    update.entropy = number("update.entropy");
+    update.max_gradient_norm = number("update.max_gradient_norm");
+    let critic = &mut config.critic;
+    critic.layers = 2;
+    critic.width = 7;
+    critic.minibatches = 1;
+    critic.learning_rate = number("critic.learning_rate");
+    critic.epochs = number("critic.epochs") as usize;
+    critic.clip = number("critic.clip");
+    critic.huber_delta = number("critic.huber_delta");
+    critic.normalizer_beta = number("critic.normalizer_beta");
+    critic.max_gradient_norm = number("critic.max_gradient_norm");
+    config.surprise.alpha = 0.01;
+    let influence = &mut config.influence;
+    influence.encoder = 5;
+    influence.hidden = 6;
+    influence.minibatches = 1;
+    influence.lambda = number("influence.lambda");
+    influence.kappa = number("influence.kappa");
+    influence.epochs = number("influence.epochs") as usize;
+    influence.learning_rate = number("influence.learning_rate");
+    influence.posterior_sigma_floor = number("policy.sigma_floor");
+    influence.holdout_every = number("influence.holdout_every") as usize;
+    let maddpg = &mut config.maddpg;
+    maddpg.replay = 50;
+    maddpg.batch = 16;
+    maddpg.warm_up = 0;
+    maddpg.n_step = number("maddpg.n_step") as usize;
+    maddpg.updates_per_step = 0.02;
+    maddpg.polyak = number("maddpg.polyak");
+    config
 }
 
 pub(crate) fn batch(reference: &Reference) -> Batch {

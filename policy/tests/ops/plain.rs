@@ -1,7 +1,7 @@
 //! The reference: layers from candle's own operations, differentiated by candle, in any precision.
 
 use candle_core::{Result, Tensor};
-use candle_nn::ops::sigmoid;
+use candle_nn::ops::{layer_norm_slow, sigmoid};
 use policy::ops::{Activation, LAYER_NORM_EPSILON, Layer, Network, RecurrentInput};
 
 /// The input `x` `[R, in]` and every layer's result, for a network with the parameters `flat`.
@@ -21,7 +21,9 @@ pub(crate) fn network(
     for layer in network.layers() {
         let x = &results[results.len() - 1];
         let y = match *layer {
-            Layer::Norm { width } => layer_norm(x, &next(&[width])?, &next(&[width])?)?,
+            Layer::Norm { width } => {
+                layer_norm_slow(x, &next(&[width])?, &next(&[width])?, LAYER_NORM_EPSILON)?
+            }
             Layer::Linear { inputs, outputs, activation } => {
                 linear(x, &next(&[outputs, inputs])?, &next(&[outputs])?, activation)?
             }
@@ -49,15 +51,6 @@ fn linear(x: &Tensor, w: &Tensor, b: &Tensor, activation: Activation) -> Result<
         Activation::Tanh => y.tanh(),
         Activation::Relu => y.relu(),
     }
-}
-
-/// `(x - mean) / sqrt(var + 1e-5) * weight + bias` over the last axis, with the biased variance: `x` is `[R, F]`,
-/// `weight` and `bias` are `[F]`.
-fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    let centred = x.broadcast_sub(&x.mean_keepdim(1)?)?;
-    let variance = centred.sqr()?.mean_keepdim(1)?;
-    let normal = centred.broadcast_div(&(variance + f64::from(LAYER_NORM_EPSILON))?.sqrt()?)?;
-    normal.broadcast_mul(weight)?.broadcast_add(bias)
 }
 
 /// The recurrent part of [`Layer::Gru`]: `projected` is `x W_i^T + b_i`, `[T*B, 3H]`. Returns every `h_t`,

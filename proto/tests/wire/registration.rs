@@ -38,16 +38,8 @@ fn a_name_that_could_fill_the_memory_or_forge_a_line_of_a_log_is_refused() {
         Registration::from_wire(named.to_wire())
     };
     assert!(named(&"n".repeat(128)).is_ok());
-    for hostile in [
-        "n".repeat(129).as_str(),
-        "a\n2026-01-01 INFO all is well",
-        "\u{1b}[2J",
-        "a\u{2028}b",
-        "a\u{202e}b",
-        "\u{200b}",
-        " a",
-        "",
-    ] {
+    // `proto/src/name.rs` tests every kind of name.
+    for hostile in ["n".repeat(129).as_str(), "a\n2026-01-01 INFO all is well", ""] {
         assert_refused(named(hostile), BadValue, "client");
     }
 }

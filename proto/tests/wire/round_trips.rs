@@ -4,7 +4,7 @@ use proto::wire::push_trajectory_request::Content;
 use proto::{
     Ack, AckState, ActorId, Digest, EnvironmentStart, EvaluationResult, EvaluationWork, Heartbeat,
     HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId, PolicyVersion, PushHeader,
-    Registered, RolloutWork, RunDescription, RunState, Start, WeightsName, Work, wire,
+    Registered, RolloutWork, RunDescription, RunState, Start, WeightsName, Work,
 };
 
 use crate::{received, sample, sent};
@@ -93,13 +93,5 @@ fn acknowledgements_and_signs_of_life_survive_the_round_trip() {
     for run_state in [RunState::Running, RunState::Done, RunState::Draining] {
         let answer = HeartbeatAnswer { lease_valid: true, run_state };
         assert_eq!(HeartbeatAnswer::from_wire(&sent(&answer.to_wire())), Ok(answer));
-    }
-}
-
-#[test]
-fn the_descriptors_hold_the_service_for_reflection() {
-    let files = String::from_utf8_lossy(wire::DESCRIPTORS);
-    for name in ["s2mia/v1/control.proto", "s2mia/v1/learner.proto", "s2mia/v1/tensor.proto"] {
-        assert!(files.contains(name), "{name} is missing");
     }
 }

@@ -3,9 +3,7 @@
 use std::ops::ControlFlow;
 
 use policy::Scratch;
-use policy::randomness::{Draw, DrawKey, Purpose, RunSeed};
-use proto::{ActionChoice, EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
-use rollout::StepEvent;
+use proto::{EnvironmentStart, RolloutWork, Start, TrajectoryChunk};
 use sim::{EnvironmentBatch, TaskConfig};
 
 use crate::cue;
@@ -137,28 +135,4 @@ fn an_invalid_state_is_rejected_without_a_step() {
     let outcome =
         rollout::roll_out(&run(), &work, &policy(), &mut *world(), |_| {}, |_| panic!("stepped"));
     assert!(outcome.is_err());
-}
-
-#[test]
-fn evaluation_episodes_are_repeatable_with_mean_and_sampled_actions() {
-    let play_by = |seed: u64, choice: ActionChoice| {
-        let mut world = sim::environments(&task(), 1).unwrap();
-        let key = DrawKey::of(RunSeed(seed), Draw::of(Purpose::EvaluationReset));
-        let mut shown = 0;
-        let (world, start) = (&mut *world, (key, choice));
-        let episode = rollout::play_episode(world, &policy(), start, |event| {
-            shown += u32::from(matches!(event, StepEvent::After(_)));
-        })
-        .unwrap();
-        assert_eq!(shown, episode.steps);
-        episode
-    };
-    let play = |seed| play_by(seed, ActionChoice::Mean);
-    let drawn = |seed| play_by(1, ActionChoice::Sampled { seed });
-    assert_eq!(drawn(5), drawn(5));
-    assert_eq!(drawn(5).steps, 1000);
-    assert!(drawn(5) != drawn(6) && drawn(5) != play(1));
-    assert_eq!(play(1), play(1));
-    assert_eq!(play(1).steps, 1000);
-    assert_ne!(play(1), play(2));
 }

@@ -72,8 +72,9 @@ mod tests {
             observation: cue.features(),
             action: 1,
             action_range: (0.0, 2.0),
-            kind: ActionKind::Discrete { choices: CHOICES },
             surprise_features: (0..cue.features()).collect(),
+            kind: ActionKind::Discrete { choices: CHOICES },
+            ..sample::problem().agents.remove(0)
         };
         Problem { agents: vec![shape.clone(), shape], state: PLACES }
     }
@@ -110,12 +111,8 @@ mod tests {
                 batch.truncated.push(done);
                 if done || step + 1 == STEPS {
                     let observation = vec![vec![0.0; shown.features()]; 2];
-                    batch.finals.push(Final {
-                        step,
-                        environment,
-                        state: vec![0.0; PLACES],
-                        observation,
-                    });
+                    let state = vec![0.0; PLACES];
+                    batch.finals.push(Final { step, environment, state, observation });
                 }
             }
         }

@@ -4,20 +4,15 @@ use policy::arrays::Array;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use super::*;
-use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Final};
+use crate::data::batch::{AgentBatch, AgentShape, Final};
+use crate::sample;
 use crate::state;
 
 const HALF: NStepHorizon = NStepHorizon { gamma: 0.5, steps: 3 };
 
 fn problem() -> Problem {
-    let shape = AgentShape {
-        observation: 1,
-        action: 1,
-        action_range: (-1.0, 1.0),
-        kind: ActionKind::Continuous,
-        surprise_features: vec![],
-    };
-    Problem { agents: vec![shape], state: 1 }
+    let usual = sample::problem().agents.remove(0);
+    Problem { agents: vec![AgentShape { observation: 1, action: 1, ..usual }], state: 1 }
 }
 
 /// `steps` steps of one environment from step `first`. The state is the step's number, the reward ten times it. `ends`
