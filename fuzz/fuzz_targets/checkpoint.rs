@@ -2,7 +2,6 @@
 //! Whatever is wrong with the newest, the one before it is loaded.
 #![no_main]
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a finding")]
-#![expect(dead_code, reason = "the tests of checkpoints call more of what they share with this")]
 
 #[path = "../../learner/tests/checkpoint/run.rs"]
 mod run;

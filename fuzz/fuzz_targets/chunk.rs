@@ -1,6 +1,7 @@
 //! Messages of the wire: arbitrary bytes as each kind of message, and as chunks with the right digest, so that the checks
 //! after that of the digest are reached as well.
 #![no_main]
+#![expect(dead_code, reason = "only the seeds take chunks of the sample")]
 
 #[path = "../../proto/tests/wire/sample.rs"]
 mod sample;

@@ -28,7 +28,7 @@ mod config {
     pub(crate) mod run_config;
 
     pub(crate) use layers::Request;
-    pub(crate) use resolved::{ConfigError, Resolved, line_and_message};
+    pub(crate) use resolved::{ConfigError, Resolved};
 }
 
 #[path = "../../src/errors.rs"]

@@ -204,7 +204,9 @@ impl Siege {
         let actor = table::actor(&mut self.table, 99);
         for _ in 0..SLOTS {
             let lease = table::lease(&mut self.table, actor);
-            (0..CHUNKS).for_each(|at| drop(table::push(&mut self.table, &lease, at).unwrap()));
+            for sequence in 0..CHUNKS {
+                table::push(&mut self.table, &lease, sequence).unwrap();
+            }
             self.take_effects();
         }
         assert_eq!(self.iteration, target, "the iteration cannot be completed");

@@ -242,6 +242,13 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    /// A file in a new folder that is not written yet.
+    fn metrics() -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        (folder, path)
+    }
+
     fn append(path: &Path, text: &str) {
         plain_file::append(path).unwrap().write_all(text.as_bytes()).unwrap();
     }
@@ -254,8 +261,7 @@ mod tests {
 
     #[test]
     fn each_line_is_read_once_and_only_when_it_is_whole() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("metrics.jsonl");
+        let (_folder, path) = metrics();
         let mut reader = JsonLinesReader::of(path.clone());
         assert_eq!(more(&mut reader), (vec![], false));
         append(&path, "{\"iteration\":1}\n{\"itera");
@@ -269,8 +275,8 @@ mod tests {
 
     #[test]
     fn a_file_that_a_resume_has_cut_back_is_read_from_its_start() {
-        let folder = tempfile::tempdir().unwrap();
-        let (path, cut) = (folder.path().join("metrics.jsonl"), folder.path().join("cut"));
+        let (folder, path) = metrics();
+        let cut = folder.path().join("cut");
         let mut reader = JsonLinesReader::of(path.clone());
         append(&path, "{\"iteration\":1}\n{\"iteration\":2}\n");
         assert_eq!(more(&mut reader), (vec![1, 2], true));
@@ -282,34 +288,28 @@ mod tests {
 
     #[test]
     fn a_cut_keeps_each_iteration_up_to_the_checkpoint_once() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("metrics.jsonl");
+        let (_folder, path) = metrics();
         let (mut lines, kept) = JsonLines::cut(&path, 0).unwrap();
         assert!(kept.is_empty());
-        for iteration in 0..5 {
-            lines.append(&json!({"iteration": iteration, "x": 0.5})).unwrap();
-        }
+        (0..5).for_each(|k| lines.append(&json!({"iteration": k, "x": 0.5})).unwrap());
         // The process died in the middle of a line.
         lines.file.write_all(b"{\"iteration\": 2, \"x\"").unwrap();
         drop(lines);
         let (mut lines, kept) = JsonLines::cut(&path, 2).unwrap();
         assert_eq!(kept.len(), 3);
-        for iteration in 3..5 {
-            lines.append(&json!({"iteration": iteration, "x": 0.5})).unwrap();
-        }
+        (3..5).for_each(|k| lines.append(&json!({"iteration": k, "x": 0.5})).unwrap());
         lines.sync().unwrap();
-        let text = std::fs::read_to_string(&path).unwrap();
-        let iterations = text.lines().map(|line| {
-            serde_json::from_str::<Value>(line).unwrap()["iteration"].as_u64().unwrap()
-        });
-        assert_eq!(iterations.collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+        assert_eq!(more(&mut JsonLinesReader::of(path.clone())), (vec![0, 1, 2, 3, 4], true));
+        // A file that needs no cut is left alone.
+        let before = std::fs::metadata(&path).unwrap().modified().unwrap();
+        JsonLines::cut(&path, 4).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().modified().unwrap(), before);
     }
 
     #[cfg(target_os = "linux")]
     #[test]
     fn lines_that_a_full_disk_refuses_are_written_once_when_there_is_room() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("metrics.jsonl");
+        let (_folder, path) = metrics();
         let (mut lines, _) = JsonLines::cut(&path, 0).unwrap();
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
         let disk = std::mem::replace(&mut lines.file, full);
@@ -334,22 +334,11 @@ mod tests {
 
     #[test]
     fn a_file_that_is_removed_meanwhile_gets_all_later_lines_under_its_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("metrics.jsonl");
+        let (_folder, path) = metrics();
         let (mut lines, _) = JsonLines::cut(&path, 0).unwrap();
         lines.append(&json!({"iteration": 1})).unwrap();
         std::fs::remove_file(&path).unwrap();
         lines.append(&json!({"iteration": 2})).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "{\"iteration\":2}\n");
-    }
-
-    #[test]
-    fn a_file_that_needs_no_cut_is_left_alone() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("metrics.jsonl");
-        std::fs::write(&path, "{\"iteration\":1}\n").unwrap();
-        let before = std::fs::metadata(&path).unwrap().modified().unwrap();
-        JsonLines::cut(&path, 1).unwrap();
-        assert_eq!(std::fs::metadata(&path).unwrap().modified().unwrap(), before);
     }
 }

@@ -123,20 +123,15 @@ mod tests {
     #[test]
     fn the_oldest_connection_without_an_actor_is_closed_and_those_with_actors_stay() {
         let registry = Registry::new(2);
-        let mut admitted = Vec::new();
-        for id in 0..WITHOUT_ACTOR as u64 {
-            let admission = admit(&registry, id);
-            assert_eq!(admission.evicted, None);
-            admitted.push(admission);
-        }
+        let mut admitted: Vec<_> =
+            (0..WITHOUT_ACTOR as u64).map(|id| admit(&registry, id)).collect();
+        assert!(admitted.iter().all(|admission| admission.evicted.is_none()));
         registry.note_actor(ConnectionId(0)).unwrap();
         // Connection 0 no longer counts as one without an actor.
         admitted.push(admit(&registry, 1000));
         let next = admit(&registry, 1001);
         assert_eq!(next.evicted, Some(ConnectionId(1)));
-        assert!(
-            admitted[1].closed.try_recv().is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
-        );
+        assert_eq!(admitted[1].closed.try_recv(), Err(oneshot::error::TryRecvError::Closed));
         assert_eq!(registry.lock().len(), WITHOUT_ACTOR + 1);
     }
 

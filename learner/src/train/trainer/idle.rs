@@ -44,29 +44,20 @@ mod tests {
 
     #[test]
     fn threads_without_a_slot_are_counted_with_what_limits_the_slots() {
-        assert_eq!(
-            advice(16, &environments(2)).unwrap(),
-            "6 of 16 actor threads have no slot: environments.per_slot=2 makes 10 slots of 20 environments; resume \
-             with environments.per_slot=0, which makes 20 with the same results, or start fewer threads"
-        );
-        assert_eq!(
-            advice(24, &environments(2)).unwrap(),
-            "14 of 24 actor threads have no slot: environments.per_slot=2 makes 10 slots of 20 environments; resume \
-             with environments.per_slot=0, which makes 20 with the same results; for more, set a larger \
-             environments.count in a new run, which changes its results, or start fewer threads"
-        );
-        for per_slot in [0, 1] {
-            assert_eq!(
-                advice(24, &environments(per_slot)).unwrap(),
-                "4 of 24 actor threads have no slot: the run has 20 environments, and a slot has at least one; set a \
-                 larger environments.count in a new run, which changes its results, or start fewer threads"
-            );
+        let fixed = "environments.per_slot=2 makes 10 slots of 20 environments; resume with \
+                     environments.per_slot=0, which makes 20 with the same results";
+        let one = "the run has 20 environments, and a slot has at least one";
+        let more = "set a larger environments.count in a new run, which changes its results";
+        for (threads, per_slot, line) in [
+            (16, 2, format!("6 of 16 actor threads have no slot: {fixed}")),
+            (24, 2, format!("14 of 24 actor threads have no slot: {fixed}; for more, {more}")),
+            (24, 0, format!("4 of 24 actor threads have no slot: {one}; {more}")),
+            (24, 1, format!("4 of 24 actor threads have no slot: {one}; {more}")),
+        ] {
+            let line = format!("{line}, or start fewer threads");
+            assert_eq!(advice(threads, &environments(per_slot)), Some(line));
         }
-    }
-
-    #[test]
-    fn there_is_no_advice_while_every_thread_can_have_a_slot() {
-        assert_eq!(advice(10, &environments(2)), None);
-        assert_eq!(advice(20, &environments(0)), None);
+        assert_eq!(advice(10, &environments(2)), None, "every thread can have a slot");
+        assert_eq!(advice(20, &environments(0)), None, "every thread can have a slot");
     }
 }
