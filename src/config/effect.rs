@@ -132,7 +132,7 @@ mod tests {
     use proto::EnvironmentSpec;
 
     use super::*;
-    use crate::config::Request;
+    use crate::config::{Request, presets};
 
     /// Settings that have an effect in every run. Where a run allows only one value, giving that value is right, not without
     /// effect.
@@ -291,6 +291,13 @@ mod tests {
         let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
         let request = Request { files: vec![file], settings, ..Request::default() };
         RunConfig::of(&request)
+    }
+
+    #[test]
+    fn every_file_of_the_program_may_also_be_given_as_a_file() {
+        for preset in [presets::BASE].iter().chain(presets::TASKS).chain(presets::ALGORITHMS) {
+            assert_eq!(of_file(preset.text, &[]).err(), None, "{}", preset.path);
+        }
     }
 
     #[test]

@@ -4,102 +4,103 @@
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::{Duration, SystemTime};
 
-use crate::commands::Background;
-use crate::learners::{Learner, inspect};
+use crate::processes::{Background, Learner};
+use crate::runs::{Runs, SHORT, command, inspect, refused, s2mia, succeeded, text, told, words};
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::wire::policy_service_client::PolicyServiceClient;
 use proto::wire::{DescribePolicyRequest, DescribeRunRequest};
 use security::Role;
 use security::development::{Issued, Issuer};
-use tonic::Code;
-use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::{Code, Status};
 
-fn s2mia(arguments: &[&str]) -> (i32, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap();
-    let text = [output.stdout, output.stderr].concat();
-    (output.status.code().unwrap(), String::from_utf8(text).unwrap())
-}
+const DAY: Duration = Duration::from_secs(86_400);
 
-/// A folder of files created by `s2mia certs`.
-struct Certificates(PathBuf);
+/// A folder of files as `s2mia certs` makes them.
+pub(crate) struct Certificates(pub(crate) PathBuf);
 
 impl Certificates {
-    fn make(folder: PathBuf) -> Self {
-        let (code, text) = s2mia(&["certs", folder.to_str().unwrap()]);
-        assert_eq!(code, 0, "{text}");
+    pub(crate) fn make(folder: PathBuf) -> Self {
+        succeeded(&["certs", text(&folder)]);
         Self(folder)
     }
 
     fn file(&self, name: &str) -> String {
-        self.0.join(name).to_str().unwrap().to_owned()
+        text(&self.0.join(name)).to_owned()
     }
 
-    fn of_learner(&self) -> Vec<String> {
-        let files = [
-            ("--tls-certificate", "server.pem"),
-            ("--tls-key", "server.key"),
-            ("--tls-client-ca", "ca.pem"),
-        ];
-        files.iter().flat_map(|(flag, name)| [(*flag).to_owned(), self.file(name)]).collect()
+    fn read(&self, name: &str) -> Vec<u8> {
+        std::fs::read(self.0.join(name)).unwrap()
+    }
+
+    pub(crate) fn write(&self, name: &str, issued: &Issued) {
+        std::fs::write(self.file(&format!("{name}.key")), &issued.key).unwrap();
+        std::fs::write(self.file(&format!("{name}.pem")), &issued.certificate).unwrap();
+    }
+
+    /// Options of a process that presents the certificate `name`, and its option with the file of trusted authorities.
+    fn options(&self, name: &str, authorities: [String; 2]) -> Vec<String> {
+        let own = ["--tls-certificate".into(), self.file(&format!("{name}.pem"))];
+        let key = ["--tls-key".into(), self.file(&format!("{name}.key"))];
+        [authorities, own, key].concat()
+    }
+
+    pub(crate) fn of_learner(&self) -> Vec<String> {
+        self.options("server", ["--tls-client-ca".into(), self.file("ca.pem")])
     }
 
     /// Options of a client that trusts `learners` and presents this folder's certificate for `role`.
-    fn of_client(&self, learners: &Self, role: &str) -> Vec<String> {
-        let (certificate, key) = (format!("{role}.pem"), format!("{role}.key"));
-        let files = [
-            ("--tls-ca", learners.file("ca.pem")),
-            ("--tls-certificate", self.file(&certificate)),
-            ("--tls-key", self.file(&key)),
-        ];
-        files.into_iter().flat_map(|(flag, path)| [flag.to_owned(), path]).collect()
+    pub(crate) fn of_client(&self, learners: &Self, role: &str) -> Vec<String> {
+        self.options(role, ["--tls-ca".into(), learners.file("ca.pem")])
     }
 }
 
-fn actor(url: &str, tls: &[String]) -> (i32, String) {
-    let more = tls.iter().map(String::as_str);
-    s2mia(
-        &["actor", "--max-outage-secs", "20", "--learner", url]
-            .into_iter()
-            .chain(more)
-            .collect::<Vec<_>>(),
-    )
+/// Starts the learner of a short run with these options.
+fn learner(folder: &Path, tls: &[String]) -> Learner {
+    Learner::start(folder, &[&SHORT, &words(tls)[..]].concat())
 }
 
-/// Checks that an actor exits at once with one line that contains `words`.
-fn refused(url: &str, tls: &[String], words: &str) {
-    let (code, text) = actor(url, tls);
-    assert_ne!(code, 0, "{text}");
-    assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
+/// Exit status and output of a question with TLS options.
+fn asked(question: &[&str], tls: &[String]) -> (Option<i32>, String) {
+    told(s2mia(&[question, &words(tls)[..]].concat()))
+}
+
+fn act(url: &str, tls: &[String]) -> (Option<i32>, String) {
+    asked(&["actor", "--max-outage-secs", "20", "--learner", url], tls)
 }
 
 #[test]
 fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
-    let folder = tempfile::tempdir().unwrap();
-    let (own, other) = (folder.path().join("own"), folder.path().join("other"));
-    let (own, other) = (Certificates::make(own), Certificates::make(other));
-    let (guarded, open) = (folder.path().join("guarded"), folder.path().join("open"));
-    let mut learner = Learner::start(&guarded, &own.of_learner());
-    let mut plain = Learner::start(&open, &[]);
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
+    let other = Certificates::make(runs.folder("other"));
+    let (guarded, open) = (runs.folder("guarded"), runs.folder("open"));
+    let mut learner = learner(&guarded, &own.of_learner());
+    let mut plain = Learner::start(&open, &SHORT);
     assert!(learner.url.starts_with("https://") && plain.url.starts_with("http://"));
     let actors = own.of_client(&own, "actor");
-
     let elsewhere = [actors.clone(), vec!["--tls-server-name".into(), "elsewhere".into()]].concat();
-    refused(&learner.url, &own.of_client(&other, "actor"), "given with --tls-ca has not signed it");
-    refused(&learner.url, &other.of_client(&own, "actor"), "another authority has signed it");
-    refused(&learner.url, &elsewhere, "elsewhere");
-    refused(&learner.url, &own.of_client(&own, "operator"), "needs the role actor");
-    refused(&learner.url.replace("https", "http"), &[], "requires TLS; use https://");
-    refused(&plain.url.replace("http", "https"), &actors, "use an http:// URL");
     let unguarded = learner.url.replace("https", "http");
-    for question in [&["status", unguarded.as_str()][..], &["health", "--learner", &unguarded]] {
-        let (_, text) = s2mia(question);
+    for (url, tls, words) in [
+        (&learner.url, own.of_client(&other, "actor"), "given with --tls-ca has not signed it"),
+        (&learner.url, other.of_client(&own, "actor"), "another authority has signed it"),
+        (&learner.url, elsewhere, "elsewhere"),
+        (&learner.url, own.of_client(&own, "operator"), "needs the role actor"),
+        (&unguarded, Vec::new(), "requires TLS; use https://"),
+        (&plain.url.replace("http", "https"), actors.clone(), "use an http:// URL"),
+    ] {
+        let (code, text) = act(url, &tls);
+        assert_ne!(code, Some(0), "{text}");
+        assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
+    }
+    for question in [&["status", &unguarded][..], &["health", "--learner", &unguarded]] {
+        let (_, text) = asked(question, &[]);
         assert!(text.contains("requires TLS") && text.contains("pass --tls-ca"), "{text}");
     }
 
-    let text = learner.finish(&actors);
+    let text = learner.finish(&words(&actors));
     for words in [
         "received fatal alert",
         "invalid peer certificate",
@@ -113,35 +114,26 @@ fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
     assert_eq!(inspect(&guarded), inspect(&open));
 }
 
-/// Runs `s2mia`; returns its exit status and its one line of output.
-fn asked(question: &[&str], tls: &[String]) -> (i32, String) {
-    let more = tls.iter().map(String::as_str);
-    let (code, text) = s2mia(&question.iter().copied().chain(more).collect::<Vec<_>>());
-    assert!(code == 0 || text.lines().count() == 1, "{text}");
-    (code, text)
-}
-
 #[test]
 fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = Certificates::make(folder.path().join("own"));
-    let other = Certificates::make(folder.path().join("other"));
-    let run = folder.path().join("run");
-    let mut learner = Learner::start(&run, &own.of_learner());
-    let (url, run) = (learner.url.clone(), run.to_str().unwrap());
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
+    let other = Certificates::make(runs.folder("other"));
+    let run = runs.folder("run");
+    let mut learner = learner(&run, &own.of_learner());
+    let url = learner.url.clone();
     let plain = url.replace("https", "http");
-    let (status, health) = (["status", &url], ["health", "--learner", &url]);
+    let (stop, status, health) = (["stop", &url], ["status", &url], ["health", "--learner", &url]);
     let of = |role| own.of_client(&own, role);
     let (no_files, strangers) = (Vec::new(), other.of_client(&own, "operator"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
-    let stop = ["stop", url.as_str()];
     let needs_operator = "needs the role operator; the certificate carries actor";
     let cases: [(&[&str], &[String], i32, &str); 11] = [
         (&stop, &of("actor"), 1, needs_operator),
         (&["watch", &url], &of("actor"), 1, needs_operator),
         (&status, &of("actor"), 1, needs_operator),
         (&status, &of("operator"), 0, "iteration 0"),
-        (&["status", run], &of("operator"), 0, "iteration 0"),
+        (&["status", text(&run)], &of("operator"), 0, "iteration 0"),
         (&health, &of("actor"), 0, "serves"),
         (&health, &strangers, 1, "does not answer"),
         (&status, &no_files, 2, needs_certificates),
@@ -150,50 +142,48 @@ fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
         (&stop, &of("operator"), 0, "stops after a checkpoint"),
     ];
     for (question, tls, code, words) in cases {
-        let text = asked(question, tls);
-        assert!(text.0 == code && text.1.contains(words), "{question:?}: {text:?}");
+        let (found, text) = asked(question, tls);
+        assert!(found == Some(code) && text.contains(words), "{question:?}: {text}");
+        assert!(code == 0 || text.lines().count() == 1, "{text}");
     }
-    learner.wait();
+    learner.process.rest();
 }
 
-/// Calls the learner with a certificate that the client does not check itself.
-async fn call(url: &str, authority: &Path, own: Option<Issued>) -> Result<(), tonic::Status> {
-    let authority = std::fs::read(authority).unwrap();
+/// A connection with a certificate that the client does not check itself.
+async fn connected(url: &str, authority: Vec<u8>, own: Option<Issued>) -> Result<Channel, Status> {
     let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(authority));
     let tls = match own {
         Some(own) => tls.identity(Identity::from_pem(own.certificate, own.key)),
         None => tls,
     };
     let channel = Endpoint::from_shared(url.to_owned()).unwrap().tls_config(tls).unwrap();
-    let channel =
-        channel.connect().await.map_err(|error| tonic::Status::unavailable(error.to_string()))?;
-    LearnerServiceClient::new(channel).describe_run(DescribeRunRequest {}).await.map(drop)
+    channel.connect().await.map_err(|error| Status::unavailable(error.to_string()))
 }
 
 #[tokio::test]
 async fn missing_expired_and_roleless_certificates_are_rejected() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = Certificates::make(folder.path().join("own"));
-    let (day, now) = (Duration::from_secs(86_400), SystemTime::now());
-    let (old, new) = (Issuer::new(now - 2 * day, day), Issuer::new(now, day));
-    let (old, new) = (old.unwrap(), new.unwrap());
-    let both = [old.certificate(), new.certificate()].concat();
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
+    let now = SystemTime::now();
+    let old = Issuer::new(now - 2 * DAY, DAY).unwrap();
+    let new = Issuer::new(now, DAY).unwrap();
     // The first authority in the file must be valid itself.
-    std::fs::write(own.file("clients.pem"), [new.certificate(), both].concat()).unwrap();
-    let mut files = own.of_learner();
-    *files.last_mut().unwrap() = own.file("clients.pem");
-    let mut learner = Learner::start(&folder.path().join("run"), &files);
-    let authority = PathBuf::from(own.file("ca.pem"));
-
-    assert!(call(&learner.url, &authority, None).await.is_err());
-    let expired = old.client(&[Role::Actor]).unwrap();
-    assert!(call(&learner.url, &authority, Some(expired)).await.is_err());
-    let without_role = new.client(&[]).unwrap();
-    let status = call(&learner.url, &authority, Some(without_role)).await.unwrap_err();
+    let authorities = [new.certificate(), old.certificate()].concat();
+    std::fs::write(own.file("clients.pem"), authorities).unwrap();
+    let files = own.options("server", ["--tls-client-ca".into(), own.file("clients.pem")]);
+    let mut learner = learner(&runs.folder("run"), &files);
+    let url = learner.url.clone();
+    let call = async |certificate| {
+        let channel = connected(&url, own.read("ca.pem"), certificate).await?;
+        LearnerServiceClient::new(channel).describe_run(DescribeRunRequest {}).await.map(drop)
+    };
+    assert!(call(None).await.is_err());
+    assert!(call(Some(old.client(&[Role::Actor]).unwrap())).await.is_err());
+    let status = call(Some(new.client(&[]).unwrap())).await.unwrap_err();
     assert_eq!(status.code(), Code::PermissionDenied, "{status:?}");
-    call(&learner.url, &authority, Some(new.client(&[Role::Actor]).unwrap())).await.unwrap();
+    call(Some(new.client(&[Role::Actor]).unwrap())).await.unwrap();
 
-    let text = tokio::task::spawn_blocking(move || learner.stop()).await.unwrap();
+    let text = tokio::task::spawn_blocking(move || learner.process.stop()).await.unwrap();
     for words in
         ["peer sent no certificates", "certificate expired", "the certificate carries no role"]
     {
@@ -203,23 +193,21 @@ async fn missing_expired_and_roleless_certificates_are_rejected() {
 
 #[tokio::test]
 async fn policies_are_served_over_tls_to_operators() {
-    let folder = tempfile::tempdir().unwrap();
-    let (own, run) = (Certificates::make(folder.path().join("own")), folder.path().join("run"));
-    let mut learner = Learner::start(&run, &[]);
-    learner.stop();
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
+    let run = runs.folder("run");
+    Learner::start(&run, &SHORT).process.stop();
     let tls = own.of_learner();
-    let tls = tls.iter().map(String::as_str).collect::<Vec<_>>();
-    let own_arguments = ["serve", run.to_str().unwrap(), "--listen=127.0.0.1:0"];
-    let mut server = Background::start(&[&own_arguments, tls.as_slice()].concat());
+    let mut serve = command(&["serve", text(&run), "--listen=127.0.0.1:0"]);
+    let mut server = Background::start(serve.args(&tls));
     let url = server.url();
     assert!(url.starts_with("https://"));
     for (role, may) in [("operator", true), ("actor", false)] {
-        let read = |name: String| std::fs::read(own.file(&name)).unwrap();
-        let identity = Identity::from_pem(read(format!("{role}.pem")), read(format!("{role}.key")));
-        let authority = Certificate::from_pem(read("ca.pem".to_owned()));
-        let tls = ClientTlsConfig::new().ca_certificate(authority).identity(identity);
-        let channel = Endpoint::from_shared(url.clone()).unwrap().tls_config(tls).unwrap();
-        let mut client = PolicyServiceClient::new(channel.connect().await.unwrap());
+        let certificate = String::from_utf8(own.read(&format!("{role}.pem"))).unwrap();
+        let key = String::from_utf8(own.read(&format!("{role}.key"))).unwrap();
+        let issued = Issued { certificate, key };
+        let channel = connected(&url, own.read("ca.pem"), Some(issued)).await.unwrap();
+        let mut client = PolicyServiceClient::new(channel);
         let text = client.describe_policy(DescribePolicyRequest {}).await;
         let denied = text.as_ref().is_err_and(|status| status.code() == Code::PermissionDenied);
         assert!(text.is_ok() == may && denied != may, "{role}: {text:?}");
@@ -228,66 +216,58 @@ async fn policies_are_served_over_tls_to_operators() {
 
 #[test]
 fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = Certificates::make(folder.path().join("own"));
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
     for name in ["server.key", "actor.key", "operator.key"] {
         let mode = std::fs::metadata(own.file(name)).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600, "{name}");
     }
-    let before = std::fs::read(own.file("actor.key")).unwrap();
-    let (code, text) = s2mia(&["certs", own.0.to_str().unwrap()]);
-    assert_eq!(code, 2);
-    assert!(text.contains("nothing is overwritten") && text.lines().count() == 1, "{text}");
-    assert_eq!(std::fs::read(own.file("actor.key")).unwrap(), before);
+    let before = own.read("actor.key");
+    assert!(refused(&["certs", text(&own.0)]).contains("nothing is overwritten"));
+    assert_eq!(own.read("actor.key"), before);
 }
 
 #[test]
 fn an_invalid_file_is_reported_in_one_line_with_its_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = Certificates::make(folder.path().join("own"));
-    let long_ago = SystemTime::UNIX_EPOCH + Duration::from_secs(86_400);
-    let issuer = Issuer::new(long_ago, Duration::from_secs(86_400)).unwrap();
-    let expired = issuer.client(&[Role::Actor]).unwrap();
-    std::fs::write(own.file("old.pem"), &expired.certificate).unwrap();
-    std::fs::write(own.file("old.key"), &expired.key).unwrap();
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
+    let issuer = Issuer::new(SystemTime::UNIX_EPOCH + DAY, DAY).unwrap();
+    own.write("old", &issuer.client(&[Role::Actor]).unwrap());
     for (certificate, key, words) in [
         ("none.pem", "actor.key", "cannot read"),
         ("actor.key", "actor.key", "holds no certificate in PEM form"),
         ("actor.pem", "operator.key", "does not fit the certificate"),
         ("old.pem", "old.key", "expired at 1970-01-03 00:00:00 UTC"),
     ] {
-        let (authority, certificate, key) =
-            (own.file("ca.pem"), own.file(certificate), own.file(key));
+        let authority = own.file("ca.pem");
+        let (certificate, key) = (own.file(certificate), own.file(key));
         let files = ["--tls-certificate", &certificate, "--tls-key", &key];
-        let learner = [&["learner", "--tls-client-ca", &authority], files.as_slice()].concat();
-        let url = ["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority];
-        for arguments in [learner, [url.as_slice(), &files].concat()] {
-            let (code, text) = s2mia(&arguments);
-            assert_eq!(code, 2, "{text}");
-            assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
+        for role in [
+            &["learner", "--tls-client-ca", &authority][..],
+            &["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority],
+        ] {
+            let line = refused(&[role, &files].concat());
+            assert!(line.contains(words), "{words}: {line}");
         }
     }
 }
 
 #[test]
 fn output_and_files_of_a_run_contain_no_secret() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = Certificates::make(folder.path().join("own"));
-    let run = folder.path().join("run");
-    let mut learner =
-        Learner::start(&run, &[own.of_learner(), vec!["--log=trace".into()]].concat());
-    let (code, actor) =
-        actor(&learner.url, &[own.of_client(&own, "actor"), vec!["--log=trace".into()]].concat());
-    assert_eq!(code, 0, "{actor}");
-    let mut texts = vec![actor, learner.wait()];
-    texts.extend(
-        files_in(&run)
-            .iter()
-            .map(|file| String::from_utf8_lossy(&std::fs::read(file).unwrap()).into_owned()),
-    );
+    let runs = Runs::new();
+    let own = Certificates::make(runs.folder("own"));
+    let run = runs.folder("run");
+    let traced = |tls: Vec<String>| [tls, vec!["--log=trace".into()]].concat();
+    let mut learner = learner(&run, &traced(own.of_learner()));
+    let (code, actor) = act(&learner.url, &traced(own.of_client(&own, "actor")));
+    assert_eq!(code, Some(0), "{actor}");
+    learner.process.rest();
+    let mut texts = vec![actor, learner.process.log()];
+    let read = |file: &PathBuf| String::from_utf8_lossy(&std::fs::read(file).unwrap()).into_owned();
+    texts.extend(files_in(&run).iter().map(read));
     assert!(texts.len() > 5);
     for name in ["server.key", "actor.key"] {
-        let key = std::fs::read_to_string(own.file(name)).unwrap();
+        let key = String::from_utf8(own.read(name)).unwrap();
         let secrets = key.lines().filter(|line| !line.starts_with("-----")).collect::<Vec<_>>();
         assert!(!secrets.is_empty());
         for secret in secrets {

@@ -1,20 +1,11 @@
 //! Damaged files in a run folder: every reader notices, no run is lost, and a resume repairs what it can.
 
 use std::path::Path;
-use std::process::Command;
 
-use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-
-/// Standard error of a command that succeeds.
-fn warned(arguments: &[&str]) -> String {
-    let output = s2mia(arguments);
-    let told = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success(), "{arguments:?}: {told}");
-    told
-}
+use crate::runs::{Runs, error, inspect, json, metrics, succeeded, text, tiny, train, warned};
 
 fn resume(folder: &Path) -> String {
-    warned(&["train", "--resume", folder.to_str().unwrap(), "run.iterations=4"])
+    warned(&["train", "--resume", text(folder), "run.iterations=4"])
 }
 
 #[test]
@@ -24,8 +15,8 @@ fn a_damaged_config_is_replaced_by_the_checkpoints_copy_and_a_resume_restores_it
     train(&folder, &["run.iterations=2"]);
     let config = folder.join("config.toml");
     let good = std::fs::read_to_string(&config).unwrap();
-    let run = folder.to_str().unwrap();
-    let played = succeeded(&["eval", run, "--episodes", "1", "--json"]);
+    let eval = ["eval", text(&folder), "--episodes", "1", "--json"];
+    let played = succeeded(&eval);
     let changed = good.replace("task = \"halfcheetah-6x1\"", "task = \"halfcheetah-3x2\"");
     assert_ne!(changed, good);
     for (damaged, why) in [
@@ -34,12 +25,10 @@ fn a_damaged_config_is_replaced_by_the_checkpoints_copy_and_a_resume_restores_it
         (changed, "these are not the run's settings"),
     ] {
         std::fs::write(&config, damaged).unwrap();
-        let told = warned(&["eval", run, "--episodes", "1", "--json"]);
-        assert!(
-            told.contains(why) && told.contains("iter_00000002/config.toml are used"),
-            "{told}"
-        );
-        assert_eq!(succeeded(&["eval", run, "--episodes", "1", "--json"]), played);
+        let told = warned(&eval);
+        assert!(told.contains(why), "{told}");
+        assert!(told.contains("iter_00000002/config.toml are used"), "{told}");
+        assert_eq!(succeeded(&eval), played);
     }
     std::fs::remove_file(&config).unwrap();
     resume(&folder);
@@ -72,10 +61,9 @@ fn a_damaged_manifest_is_reported_and_written_again() {
             None => std::fs::remove_file(&manifest).unwrap(),
         }
         let length = format!("run.iterations={iterations}");
-        let told = warned(&["train", "--resume", folder.to_str().unwrap(), &length]);
+        let told = warned(&["train", "--resume", text(&folder), &length]);
         assert!(told.contains("the manifest is written again"), "{told}");
-        let written: serde_json::Value =
-            serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
+        let written = json(&manifest);
         assert_eq!((&written["seed"], &written["foreign_actors"]), (&7.into(), &().into()));
     }
     let starts = std::fs::read_to_string(folder.join("starts.jsonl")).unwrap();
@@ -115,15 +103,6 @@ fn a_start_that_ended_before_its_manifest_is_no_run_and_a_new_run_takes_the_fold
     assert_eq!(inspect(&folder)["iteration"], 1);
 }
 
-/// The number of failed checkpoints in a row, as each iteration reports it.
-fn checkpoints_failed(folder: &Path) -> Vec<Option<f64>> {
-    let metrics = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
-    let lines =
-        metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-    let iterations = lines.filter(|line| line["kind"] == "iteration");
-    iterations.map(|line| line["checkpoints_failed"].as_f64()).collect()
-}
-
 #[test]
 fn a_full_disk_at_a_step_of_a_checkpoint_does_not_affect_training_and_it_is_retried() {
     let runs = Runs::new();
@@ -132,14 +111,14 @@ fn a_full_disk_at_a_step_of_a_checkpoint_does_not_affect_training_and_it_is_retr
     train(&quiet, &length);
     for step in ["WriteFile", "Rename", "RemoveOld"] {
         let folder = runs.folder(step);
-        let dir = format!("run.dir={}", folder.display());
-        let mut run = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-        run.args([&["train"], TINY, &[dir.as_str()], &length].concat());
+        let mut run = tiny("train", &folder, &length);
         let ended = run.env("S2MIA_FAIL_AT", format!("{step}@2")).output().unwrap();
-        let told = String::from_utf8(ended.stderr).unwrap();
+        let told = error(&ended);
         assert!(ended.status.success() && told.contains("checkpoint failed"), "{step}: {told}");
         assert_eq!(inspect(&folder)["state_sha256"], inspect(&quiet)["state_sha256"], "{step}");
-        assert_eq!(checkpoints_failed(&folder), [0.0, 0.0, 1.0, 0.0].map(Some), "{step}");
+        let iterations = metrics(&folder, "iteration");
+        let failed = iterations.iter().map(|line| line["checkpoints_failed"].as_f64().unwrap());
+        assert_eq!(failed.collect::<Vec<_>>(), [0.0, 0.0, 1.0, 0.0], "{step}");
         assert!(folder.join("checkpoints/iter_00000003").is_dir(), "{step}");
     }
 }
@@ -147,11 +126,8 @@ fn a_full_disk_at_a_step_of_a_checkpoint_does_not_affect_training_and_it_is_retr
 #[test]
 fn a_misspelt_fail_point_is_refused_with_the_list_of_points() {
     let runs = Runs::new();
-    let folder = runs.folder("run");
-    let dir = format!("run.dir={}", folder.display());
-    let mut run = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    run.args([&["train"], TINY, &[dir.as_str()]].concat());
+    let mut run = tiny("train", &runs.folder("run"), &[]);
     let ended = run.env("S2MIA_FAIL_AT", "mid-updates@1").output().unwrap();
-    let told = String::from_utf8(ended.stderr).unwrap();
+    let told = error(&ended);
     assert!(!ended.status.success() && told.contains("mid-update, "), "{told}");
 }

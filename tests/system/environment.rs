@@ -2,55 +2,48 @@
 //! messages of the program are rejected by field.
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
 use actor::EnvironmentService;
 use proto::wire;
 use proto::wire::play_response::Answer;
+use serde_json::Value;
 use sim::{EnvironmentBatch as _, ObservationNorm};
 
-use crate::commands::{Background, refused, signal};
 use crate::cue_service::{CueService, Faults};
-use crate::processes::children;
-use crate::runs::{Runs, TINY, inspect, s2mia, succeeded, train};
-use crate::waiting::{eventually, has_begun};
+use crate::processes::{Background, Learner, children, has_begun, signal};
+use crate::runs::{
+    Runs, error, inspect, json, refused, s2mia, succeeded, success, text, tiny, weights,
+};
 
 /// Slots shorter than an episode of 50 steps.
-const CUE: &[&str] = &["task=cue-2x1", "run.iterations=6"];
+const CUE: [&str; 2] = ["task=cue-2x1", "run.iterations=6"];
 
-fn settings<'a>(folder: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    [&["train"], TINY, CUE, &[folder], more].concat()
+/// `s2mia train` of the game.
+fn cue(folder: &Path, more: &[&str]) -> Command {
+    tiny("train", folder, &[&CUE, more].concat())
 }
 
-fn dir(folder: &Path) -> String {
-    format!("run.dir={}", folder.display())
-}
-
-fn trained(folder: &Path, more: &[&str]) {
-    train(folder, &[CUE, more].concat());
-}
-
-fn weights(folder: &Path) -> serde_json::Value {
-    inspect(folder)["weights_sha256"].clone()
-}
-
-fn manifest(folder: &Path) -> serde_json::Value {
-    serde_json::from_str(&std::fs::read_to_string(folder.join("manifest.json")).unwrap()).unwrap()
+/// The weights of the game trained in `folder`.
+fn trained(folder: &Path, more: &[&str]) -> Value {
+    success(&mut cue(folder, more));
+    weights(folder)
 }
 
 #[test]
 fn a_game_in_an_external_program_gives_the_weights_of_the_built_in_game() {
     let runs = Runs::new();
     let own = runs.folder("own");
-    trained(&own, &["run.actors=1"]);
-    assert_eq!(manifest(&own)["environment_states"], "encoded");
-    for (faults, states) in [(Faults::NONE, "saved"), (Faults::STATELESS, "replayed")] {
+    let expected = trained(&own, &["run.actors=1"]);
+    let states = |folder: &Path| json(&folder.join("manifest.json"))["environment_states"].clone();
+    assert_eq!(states(&own), "encoded");
+    for (faults, kind) in [(Faults::NONE, "saved"), (Faults::STATELESS, "replayed")] {
         let service = CueService::start(faults);
         for actors in ["run.actors=1", "run.actors=2"] {
-            let folder = runs.folder(&format!("{states}-{actors}"));
-            trained(&folder, &[actors, "--environment", &service.url]);
-            assert_eq!(weights(&folder), weights(&own), "states {states}, {actors}");
-            assert_eq!(manifest(&folder)["environment_states"], states);
+            let folder = runs.folder(&format!("{kind}-{actors}"));
+            let found = trained(&folder, &[actors, "--environment", &service.url]);
+            assert_eq!(found, expected, "states {kind}, {actors}");
+            assert_eq!(states(&folder), kind);
         }
     }
 }
@@ -61,8 +54,7 @@ fn with_feature_z_actors_standardise_what_an_external_program_shows() {
     let service = CueService::start(Faults::NONE);
     let weights_of = |norm: &str, actors: &str| {
         let folder = runs.folder(&format!("{norm}-{actors}"));
-        trained(&folder, &[norm, actors, "--environment", &service.url]);
-        weights(&folder)
+        trained(&folder, &[norm, actors, "--environment", &service.url])
     };
     let scaled = weights_of("observation.norm=feature_z", "run.actors=1");
     assert_eq!(weights_of("observation.norm=feature_z", "run.actors=2"), scaled);
@@ -89,96 +81,81 @@ fn first_observation(url: &str, norm: ObservationNorm) -> Vec<f32> {
     observation
 }
 
-fn start(folder: &Path, more: &[&str]) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(settings(&dir(folder), more)).stdout(Stdio::null()).stderr(Stdio::null());
-    command.spawn().unwrap()
-}
-
-/// Process ids of the actors of a running run.
-fn actors(run: &Child, folder: &Path) -> Vec<u32> {
-    has_begun(folder);
-    eventually(|| match children(run.id()) {
-        found if found.len() >= 2 => Ok(found),
-        found => Err(format!("{} of 2 actors have started", found.len())),
-    })
-}
-
 #[test]
 fn killed_actors_and_failures_of_the_program_do_not_affect_the_weights() {
     let runs = Runs::new();
-    let [own, killed, died, broken] =
-        ["own", "killed", "died", "broken"].map(|name| runs.folder(name));
     let longer = ["run.iterations=30", "run.actors=2", "--environment"];
-    trained(&own, &longer[..2]);
+    let expected = trained(&runs.folder("own"), &longer[..2]);
     let service = CueService::start(Faults::NONE);
     let in_service = [&longer[..], &[service.url.as_str()]].concat();
+    // A run in the service, and its actors.
+    let begun = |folder: &Path| {
+        let run = Background::start(&mut cue(folder, &in_service));
+        has_begun(folder);
+        let actors = children(run.process.id(), 2);
+        (run, actors)
+    };
 
-    let mut run = start(&killed, &in_service);
-    signal(actors(&run, &killed)[0], "-KILL");
-    assert!(run.wait().unwrap().success());
-    assert_eq!(weights(&killed), weights(&own));
+    let killed = runs.folder("killed");
+    let (mut run, actors) = begun(&killed);
+    signal(actors[0], "-KILL");
+    run.rest();
+    assert_eq!(weights(&killed), expected);
 
-    let mut run = start(&died, &in_service);
-    actors(&run, &died);
+    let died = runs.folder("died");
+    let (mut run, _) = begun(&died);
     let address = service.url.trim_start_matches("http://").to_owned();
     drop(service);
     let _again = CueService::start_at(&address, Faults::NONE);
-    assert!(run.wait().unwrap().success());
-    assert_eq!(weights(&died), weights(&own));
+    run.rest();
+    assert_eq!(weights(&died), expected);
 
     let service = CueService::start(Faults { abort_every: 150, ..Faults::NONE });
-    trained(&broken, &[&longer[..], &[service.url.as_str()]].concat());
-    assert_eq!(weights(&broken), weights(&own));
+    let broken = trained(&runs.folder("broken"), &[&longer[..], &[service.url.as_str()]].concat());
+    assert_eq!(broken, expected);
 }
 
 #[test]
 fn a_run_continues_if_its_program_rejects_the_states_that_it_saved() {
-    let (runs, service) =
-        (Runs::new(), CueService::start(Faults { rejects: |_| true, ..Faults::NONE }));
+    let runs = Runs::new();
+    let service = CueService::start(Faults { rejects: |_| true, ..Faults::NONE });
     let hashes = ["run.actors=1", "run.actors=2"].map(|actors| {
         let folder = runs.folder(actors);
-        let output = s2mia(&settings(&dir(&folder), &[actors, "--environment", &service.url]));
-        let told = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.success(), "{told}");
-        let causes = [
+        let (_, log) = success(&mut cue(&folder, &[actors, "--environment", &service.url]));
+        for cause in [
             "returned its lease, at slot 0",
             "ValueError: no state of this game",
             "the start states are from actor",
             "no actor can continue its episodes",
-        ];
-        for cause in causes {
-            assert!(told.contains(cause), "no {cause:?} in {told}");
+        ] {
+            assert!(log.contains(cause), "no {cause:?} in {log}");
         }
         weights(&folder)
     });
     assert_eq!(hashes[0], hashes[1], "new episodes have the same keys for any actors");
 }
 
+/// The last line with which training in `folder` fails with `faults`.
+fn refusal(folder: &Path, faults: Faults, more: &[&str]) -> String {
+    let service = CueService::start(faults);
+    let mut run = cue(folder, more);
+    let output = run.args(["--environment", &service.url]).output().unwrap();
+    let log = error(&output);
+    assert_eq!(output.status.code(), Some(1), "{log}");
+    log.lines().last().unwrap().to_owned()
+}
+
+/// One actor whose lease ends soon.
+const SOON: [&str; 2] = ["run.actors=1", "lease.ttl_secs=1"];
+
 #[test]
 fn an_environment_that_always_dies_ends_the_run_with_its_cause_and_a_checkpoint() {
-    let (runs, service) =
-        (Runs::new(), CueService::start(Faults { abort_every: 1, ..Faults::NONE }));
+    let runs = Runs::new();
     let folder = runs.folder("always");
-    let output = s2mia(&settings(&dir(&folder), &["--environment", &service.url]));
-    let told = String::from_utf8(output.stderr).unwrap();
-    let line = told.lines().last().unwrap();
-    assert_eq!(output.status.code(), Some(1), "{told}");
+    let line = refusal(&folder, Faults { abort_every: 1, ..Faults::NONE }, &[]);
     assert!(line.contains(" times and no actor could finish it"), "{line}");
     assert!(line.contains("Unavailable: temporarily unavailable"), "{line}");
     assert_eq!(inspect(&folder)["iteration"], 0);
-}
-
-/// The one-line error of training with `faults`.
-fn refusal(faults: Faults) -> String {
-    let (runs, service) = (Runs::new(), CueService::start(faults));
-    let folder = runs.folder("refused");
-    let output = s2mia(&settings(
-        &dir(&folder),
-        &["run.actors=1", "lease.ttl_secs=1", "--environment", &service.url],
-    ));
-    assert_eq!(output.status.code(), Some(1));
-    String::from_utf8(output.stderr).unwrap().lines().last().unwrap().to_owned()
 }
 
 #[test]
@@ -194,7 +171,8 @@ fn an_invalid_description_is_rejected_by_field_before_the_run_starts() {
         (|spec| spec.dt_secs = 0.0, "environment.dt_secs"),
     ];
     for (description, field) in lies {
-        let line = refusal(Faults { description, ..Faults::NONE });
+        let runs = Runs::new();
+        let line = refusal(&runs.folder("refused"), Faults { description, ..Faults::NONE }, &SOON);
         assert!(line.contains("sent an invalid answer") && line.contains(field), "{line}");
     }
 }
@@ -229,7 +207,8 @@ fn an_invalid_answer_ends_the_actors_with_its_field() {
         ),
     ];
     for (answer, field) in lies {
-        let line = refusal(Faults { answer, ..Faults::NONE });
+        let runs = Runs::new();
+        let line = refusal(&runs.folder("refused"), Faults { answer, ..Faults::NONE }, &SOON);
         assert!(line.contains("sent an invalid answer") && line.contains(field), "{line}");
     }
 }
@@ -243,7 +222,7 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     let folder = runs.folder("resumed");
     let service = CueService::start(Faults::NONE);
     trained(&folder, &["run.iterations=2", "--environment", &service.url]);
-    let path = folder.to_str().unwrap();
+    let path = text(&folder);
     let resume = ["train", "--resume", path, "run.iterations=4", "--environment"];
     let other = CueService::start(OTHER);
     for url in [other.url.as_str(), ""] {
@@ -255,12 +234,11 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
     assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
     assert!(succeeded(&["record", path]).contains("50 steps"));
-    let told = |command: &str| String::from_utf8(s2mia(&[command, path]).stderr).unwrap();
+    let told = |command: &str| error(&s2mia(&[command, path]));
     let line = told("film");
     assert!(line.contains("its description has no shapes") && line.lines().count() == 1, "{line}");
     let recording = folder.join("logs/iter_00000004.mcap");
-    let output = s2mia(&["log", "--replay", recording.to_str().unwrap()]);
-    let line = String::from_utf8(output.stderr).unwrap();
+    let line = error(&s2mia(&["log", "--replay", text(&recording)]));
     assert!(line.contains("its environment is another program's") && line.lines().count() == 1);
     let address = moved.url.trim_start_matches("http://").to_owned();
     drop(moved);
@@ -275,11 +253,10 @@ fn a_run_can_be_resumed_only_in_its_environment() {
 fn an_actor_without_the_environment_url_names_the_missing_option() {
     let runs = Runs::new();
     let service = CueService::start(Faults::NONE);
-    let folder = dir(&runs.folder("untold"));
-    let arguments = ["learner", "--listen=127.0.0.1:0", "--environment", &service.url, &folder];
-    let mut learner = Background::start(&[&arguments, CUE].concat());
-    let output = s2mia(&["actor", "--learner", &learner.url()]);
-    let log = String::from_utf8(output.stderr).unwrap();
+    let in_service = [&CUE[..], &["--environment", &service.url]].concat();
+    let learner = Learner::start(&runs.folder("untold"), &in_service);
+    let output = s2mia(&["actor", "--learner", &learner.url]);
+    let log = error(&output);
     assert_eq!(output.status.code(), Some(1), "{log}");
     assert!(log.contains("pass --environment with its URL"), "{log}");
 }

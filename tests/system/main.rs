@@ -3,15 +3,15 @@
 
 mod certificates;
 mod cli;
-mod commands;
-mod configs;
 mod control;
 mod cue_service;
 mod damage;
 mod environment;
+mod exactness;
+mod experiment;
 mod faults;
 mod folders;
-mod learners;
+mod hostile_peers;
 mod logs;
 mod output;
 mod own_task;
@@ -22,4 +22,3 @@ mod runs;
 mod serve;
 mod shutdown;
 mod train;
-mod waiting;

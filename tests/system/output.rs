@@ -2,16 +2,10 @@
 
 use std::fs::File;
 use std::io::{PipeWriter, pipe};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
-use crate::runs::{Runs, TINY, inspect, train};
-use crate::waiting::POLL_INTERVAL;
-
-fn s2mia(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(arguments);
-    command
-}
+use crate::processes::until;
+use crate::runs::{Runs, command, error, inspect, text, tiny, train};
 
 /// A pipe whose reader has gone.
 fn unread() -> PipeWriter {
@@ -23,14 +17,13 @@ fn a_full_disk_is_an_error_of_one_line_for_every_command_that_prints() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     train(&folder, &["run.iterations=1"]);
-    let run = folder.to_str().unwrap();
-    let out = runs.folder("onnx");
+    let run = text(&folder);
     for arguments in [
         &["eval", run, "--episodes", "1", "--json"][..],
         &["inspect", run],
         &["status", run, "--json"],
         &["watch", run],
-        &["export", run, "--onnx", out.to_str().unwrap()],
+        &["export", run, "--onnx", text(&runs.folder("onnx"))],
         &["config", "cue-2x1"],
         &["tasks", "--json"],
         &["train", "--resume", run, "run.iterations=2"],
@@ -38,11 +31,10 @@ fn a_full_disk_is_an_error_of_one_line_for_every_command_that_prints() {
         &["--version"],
     ] {
         let full = File::options().write(true).open("/dev/full").unwrap();
-        let output = s2mia(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
-        let line = String::from_utf8(output.stderr).unwrap();
+        let output = command(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
         let expected =
             "error: cannot write to standard output: No space left on device (os error 28)\n";
-        assert_eq!((output.status.code(), &*line), (Some(1), expected), "{arguments:?}");
+        assert_eq!((output.status.code(), &*error(&output)), (Some(1), expected), "{arguments:?}");
     }
     assert_eq!(inspect(&folder)["iteration"], 2);
 }
@@ -59,7 +51,7 @@ fn a_reader_that_has_gone_changes_no_status() {
         (&["dance"], 2),
         (&[], 2),
     ] {
-        let ended = s2mia(arguments).stdout(unread()).stderr(unread()).status().unwrap();
+        let ended = command(arguments).stdout(unread()).stderr(unread()).status().unwrap();
         assert_eq!(ended.code(), Some(status), "{arguments:?}");
     }
 }
@@ -68,18 +60,13 @@ fn a_reader_that_has_gone_changes_no_status() {
 fn a_watch_that_nobody_reads_ends_and_the_run_continues() {
     let runs = Runs::new();
     let folder = runs.folder("run");
-    let dir = format!("run.dir={}", folder.display());
-    let endless =
-        [TINY, &["run.iterations=1000000", &dir, "--stop-with-stdin", "--page=off"]].concat();
-    let mut training = s2mia(&[&["train"], &endless[..]].concat());
+    let endless = ["run.iterations=1000000", "--stop-with-stdin", "--page=off"];
     // Its own output is not read, either.
+    let mut training = tiny("train", &folder, &endless);
     let mut training = training.stdin(Stdio::piped()).stdout(unread()).spawn().unwrap();
-    while !folder.join("checkpoints/LATEST").is_file() {
-        assert_eq!(training.try_wait().unwrap(), None);
-        std::thread::sleep(POLL_INTERVAL);
-    }
-    let watch = ["watch", folder.to_str().unwrap()];
-    let watched = s2mia(&watch).stdout(unread()).stderr(Stdio::null()).status().unwrap();
+    until("there is a checkpoint", || folder.join("checkpoints/LATEST").is_file());
+    let mut watch = command(&["watch", text(&folder)]);
+    let watched = watch.stdout(unread()).stderr(Stdio::null()).status().unwrap();
     assert_eq!(watched.code(), Some(0));
     assert_eq!(training.try_wait().unwrap(), None);
     drop(training.stdin.take());

@@ -4,121 +4,60 @@ use std::fs;
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
 use serde_json::json;
 
-use crate::commands::{Background, failed};
-use crate::runs::{Runs, TINY, inspect, succeeded, train};
-use crate::waiting::{eventually, has_begun};
+use crate::processes::{Background, Learner, actor, has_begun, until};
+use crate::runs::{Runs, error, failed, inspect, status, succeeded, success, text, tiny, train};
 
 const SIXTY: &str = "run.iterations=60";
-
-/// A learner in the background.
-struct Learner(Background);
-
-impl Learner {
-    /// Starts a learner and waits until it is ready for actors.
-    fn start(folder: &Path, address: &str, more: &[&str]) -> Self {
-        let dir = format!("run.dir={}", folder.display());
-        let own = ["--listen", address, dir.as_str(), SIXTY];
-        let mut learner = Background::start(&[&["learner"], TINY, &own, more].concat());
-        assert!(learner.line().contains("waits for actors"));
-        Self(learner)
-    }
-
-    fn terminate(&mut self) -> String {
-        self.0.signal("-TERM");
-        self.end()
-    }
-
-    /// The last line of output, after success.
-    fn end(&mut self) -> String {
-        self.0.rest().pop().unwrap()
-    }
-}
+/// Six slots an iteration.
+const TWELVE: [&str; 2] = [SIXTY, "environments.count=12"];
 
 /// An address that was unused a moment ago.
 fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
 
-fn actor(url: &str, threads: &str) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(["actor", "--learner", url, "--threads", threads]);
-    command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+fn finishes(mut learner: Learner, mut actor: Background) {
+    let last = learner.process.rest().pop().unwrap();
+    assert!(last.starts_with("finished after iteration 60"), "{last}");
+    actor.rest();
 }
 
 #[test]
-fn an_actor_can_start_before_the_learner_and_survives_its_restart() {
-    let runs = Runs::new();
-    let folder = runs.folder("roles");
-    let address = free_address();
-    let mut actor = actor(&format!("http://{address}"), "1");
-    let mut learner = Learner::start(&folder, &address, &[]);
-    has_begun(&folder);
-    assert!(learner.terminate().starts_with("stopped after iteration"));
-    assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
-    let mut learner = Learner::start(&folder, &address, &[]);
-    assert!(learner.end().starts_with("finished after iteration 60"));
-    assert!(actor.wait().unwrap().success());
-}
-
-/// Trains six slots an iteration with one actor process of one thread.
-fn train_with_one_thread(folder: &Path) -> serde_json::Value {
-    let address = free_address();
-    let mut learner = Learner::start(folder, &address, &["environments.count=12"]);
-    let mut actor = actor(&format!("http://{address}"), "1");
-    assert!(learner.end().starts_with("finished after iteration 60"));
-    assert!(actor.wait().unwrap().success());
-    inspect(folder)
-}
-
-#[test]
-fn six_threads_and_a_restart_of_the_learner_give_the_results_of_one_thread() {
+fn threads_of_an_actor_that_starts_first_survive_a_restart_and_give_the_results_of_one_thread() {
     let runs = Runs::new();
     let (folder, address) = (runs.folder("six"), free_address());
     let url = format!("http://{address}");
-    let mut actor = actor(&url, "6");
-    let mut learner = Learner::start(&folder, &address, &["environments.count=12"]);
-    eventually(|| {
-        let actors = status(&url)["actors"].clone();
-        if actors == 6 { Ok(()) } else { Err(format!("{actors} of six threads are registered")) }
-    });
+    let mut six = actor(&url, &["--threads=6"]);
+    let mut learner = Learner::at(&address, &folder, &TWELVE);
+    until("six threads are registered", || status(&url)["actors"] == 6);
     has_begun(&folder);
-    assert!(learner.terminate().starts_with("stopped after iteration"));
-    assert_eq!(actor.try_wait().unwrap(), None, "the actor waits for the next learner");
-    let mut learner = Learner::start(&folder, &address, &["environments.count=12"]);
-    assert!(learner.end().starts_with("finished after iteration 60"));
-    assert!(actor.wait().unwrap().success());
-    assert_eq!(inspect(&folder), train_with_one_thread(&runs.folder("one")));
+    learner.process.signal("-TERM");
+    assert!(learner.process.rest().pop().unwrap().starts_with("stopped after iteration"));
+    assert!(six.is_running(), "the actor waits for the next learner");
+    finishes(Learner::at(&address, &folder, &TWELVE), six);
+
+    let alone = runs.folder("one");
+    let learner = Learner::start(&alone, &TWELVE);
+    let one = actor(&learner.url, &["--threads=1"]);
+    finishes(learner, one);
+    assert_eq!(inspect(&folder), inspect(&alone));
 }
 
 #[test]
 fn a_learner_says_once_how_many_threads_have_no_slot() {
     let runs = Runs::new();
-    let address = free_address();
-    let dir = format!("run.dir={}", runs.folder("idle").display());
-    let own = ["learner", "--listen", &address, TINY[0], &dir, "run.iterations=20"];
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    let learner = command
-        .args(own)
-        .args(&TINY[1..])
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    // Three threads, two slots.
-    let mut actor = actor(&format!("http://{address}"), "3");
-    let log = String::from_utf8(learner.wait_with_output().unwrap().stderr).unwrap();
-    assert!(actor.wait().unwrap().success());
+    let mut learner = Learner::start(&runs.folder("idle"), &["run.iterations=20"]);
+    // Two slots.
+    let log = learner.finish(&["--threads=3"]);
     let lines = log.lines().filter(|line| line.contains("actor threads have no slot"));
     let lines = lines.collect::<Vec<_>>();
     assert_eq!(lines.len(), 1, "{log}");
-    assert!(
-        lines[0].contains("1 of 3") && lines[0].contains("resume with environments.per_slot=0"),
-        "{log}"
-    );
+    assert!(lines[0].contains("1 of 3"), "{log}");
+    assert!(lines[0].contains("resume with environments.per_slot=0"), "{log}");
 }
 
 /// A copy of the program that differs only in the commit that it was built from.
@@ -141,77 +80,59 @@ fn another_build(folder: &Path) -> PathBuf {
 #[test]
 fn an_actor_of_another_build_takes_part_only_if_the_operator_admits_it() {
     let runs = Runs::new();
-    let other = another_build(runs.folder("").as_path());
-    let act = |address: &str| {
-        let url = format!("http://{address}");
-        Command::new(&other).args(["actor", "--learner", &url]).output().unwrap()
+    let other = another_build(&runs.folder(""));
+    let act = |learner: &Learner| {
+        let mut actor = Command::new(&other);
+        actor.args(["actor", "--learner", &learner.url]);
+        actor
     };
-    let (address, folder) = (free_address(), runs.folder("strict"));
-    let mut learner = Learner::start(&folder, &address, &[]);
-    let refused = act(&address);
-    let line = String::from_utf8(refused.stderr).unwrap();
+    let mut learner = Learner::start(&runs.folder("strict"), &[SIXTY]);
+    let refused = act(&learner).output().unwrap();
+    let line = error(&refused);
     assert_eq!(refused.status.code(), Some(1), "{line}");
     assert!(line.contains("OTHER_BUILD") && line.contains("learner.other_builds=true"), "{line}");
-    learner.terminate();
+    learner.process.stop();
 
-    let address = free_address();
-    let admitted = runs.folder("admitted");
-    let mut learner = Learner::start(&admitted, &address, &["learner.other_builds=true"]);
-    let acted = act(&address);
-    assert!(acted.status.success(), "{}", String::from_utf8_lossy(&acted.stderr));
-    assert!(learner.end().starts_with("finished after iteration 60"));
-}
-
-fn status(of: &str) -> serde_json::Value {
-    serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
+    let allowed = [SIXTY, "learner.other_builds=true"];
+    let mut learner = Learner::start(&runs.folder("admitted"), &allowed);
+    success(&mut act(&learner));
+    learner.process.rest();
 }
 
 #[test]
-fn status_works_by_address_by_folder_and_for_ended_runs() {
+fn status_and_health_work_by_address_and_status_by_folder_and_for_ended_runs() {
     let runs = Runs::new();
-    let (folder, address) = (runs.folder("status"), free_address());
-    let path = folder.to_str().unwrap();
-    let mut learner = Learner::start(&folder, &address, &[]);
-    let asked = status(&format!("http://{address}"));
-    assert_eq!(asked, status(path));
+    let folder = runs.folder("status");
+    let mut learner = Learner::start(&folder, &[SIXTY]);
+    let health = ["health", "--learner", &learner.url];
+    succeeded(&health);
+    let asked = status(&learner.url);
+    assert_eq!(asked, status(text(&folder)));
     let figures = ["state", "iteration", "slots", "complete_slots", "actors"];
     assert_eq!(
         figures.map(|name| asked[name].clone()),
         [json!("running"), json!(0), json!(2), json!(0), json!(0)]
     );
-    learner.terminate();
-    assert_eq!(status(path)["state"], "stopped");
-    let line = succeeded(&["status", path]);
+    learner.process.stop();
+    assert!(failed(&health, 1).contains(&learner.url));
+    assert_eq!(status(text(&folder))["state"], "stopped");
+    let line = succeeded(&["status", text(&folder)]);
     assert!(line.contains("is stopped: iteration 0 of 60") && line.contains("--resume"), "{line}");
-    train(&runs.folder("short"), &["run.iterations=1", "run.actors=1"]);
-    let line = succeeded(&["status", runs.folder("short").to_str().unwrap()]);
+    let short = runs.folder("short");
+    train(&short, &["run.iterations=1", "run.actors=1"]);
+    let line = succeeded(&["status", text(&short)]);
     assert!(line.contains("is finished: iteration 1 of 1") && line.lines().count() == 1, "{line}");
 }
 
 #[test]
 fn verify_determinism_compares_three_runs_whose_arguments_override_variables() {
     let runs = Runs::new();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.arg("train").args(TINY).arg("--verify-determinism=3");
+    let mut command = tiny("train", &runs.folder("run"), &["--verify-determinism=3"]);
     command.env("S2MIA__RUN__SEED", "1").env("S2MIA__RUN__DIR", runs.folder("variable"));
-    let output = command.output().unwrap();
-    let (told, log) =
-        [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).into();
-    assert!(output.status.success() && log.is_empty(), "{told}{log}");
+    let (told, log) = success(&mut command);
+    assert!(log.is_empty(), "{told}{log}");
     let lines = told.lines().collect::<Vec<_>>();
     let states = lines[..3].iter().map(|line| line.split_whitespace().last().unwrap());
     assert!(states.clone().all(|state| state.len() == 64 && Some(state) == states.clone().next()));
     assert_eq!(lines[3..], ["deterministic over 3 iterations: all states are equal"]);
-}
-
-#[test]
-fn a_learner_is_healthy_only_while_it_serves() {
-    let runs = Runs::new();
-    let address = free_address();
-    let url = format!("http://{address}");
-    let health = ["health", "--learner", url.as_str()];
-    let mut learner = Learner::start(&runs.folder("health"), &address, &[]);
-    succeeded(&health);
-    learner.terminate();
-    assert!(failed(&health, 1).contains(&url));
 }

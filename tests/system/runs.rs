@@ -1,10 +1,12 @@
-//! Small runs with real processes.
+//! Commands that end by themselves, and small runs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use serde_json::Value;
+
 /// Settings of a small run: 4 environments x 20 steps, two slots, small networks.
-pub(crate) const TINY: &[&str] = &[
+const TINY: [&str; 17] = [
     "halfcheetah-6x1",
     "run.seed=7",
     "environments.count=4",
@@ -24,19 +26,17 @@ pub(crate) const TINY: &[&str] = &[
     "checkpoint.every=2",
 ];
 
-pub(crate) fn s2mia(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_s2mia")).args(arguments).output().unwrap()
+/// The length of a run of two iterations without evaluations.
+pub(crate) const SHORT: [&str; 2] = ["run.iterations=2", "evaluation.every_steps=0"];
+
+pub(crate) fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    command.args(arguments);
+    command
 }
 
-pub(crate) fn succeeded(arguments: &[&str]) -> String {
-    let output = s2mia(arguments);
-    let (out, err) = (String::from_utf8(output.stdout).unwrap(), output.stderr);
-    assert!(output.status.success(), "{arguments:?}\n{out}\n{}", String::from_utf8_lossy(&err));
-    out
-}
-
-/// [`TINY`] without the settings that have no effect with the settings `more`.
-pub(crate) fn tiny(more: &[&str]) -> Vec<&'static str> {
+/// `s2mia train` or `s2mia learner` for a run in `folder`: [`TINY`] without what has no effect with `more`, and `more`.
+pub(crate) fn tiny(role: &str, folder: &Path, more: &[&str]) -> Command {
     let has = |setting: &str| more.contains(&setting);
     let mut without = Vec::new();
     if has("algorithm=maddpg") {
@@ -48,19 +48,116 @@ pub(crate) fn tiny(more: &[&str]) -> Vec<&'static str> {
     if has("policy.core=mlp") {
         without.extend(["policy.encoder", "policy.hidden"]);
     }
-    let has_effect = |setting: &&&str| !without.iter().any(|key| setting.starts_with(key));
-    TINY.iter().filter(has_effect).copied().collect()
+    let has_effect = |setting: &&str| !without.iter().any(|key| setting.starts_with(key));
+    let mut command = command(&[role]);
+    command.args(TINY.into_iter().filter(has_effect));
+    command.arg(format!("run.dir={}", folder.display())).args(more);
+    command
+}
+
+/// `program` with the words of `command` after its own.
+pub(crate) fn under(program: &str, own: &[&str], command: &Command) -> Command {
+    let mut outer = Command::new(program);
+    outer.args(own).arg(command.get_program()).args(command.get_args());
+    outer
+}
+
+pub(crate) fn s2mia(arguments: &[&str]) -> Output {
+    command(arguments).output().unwrap()
+}
+
+pub(crate) fn error(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Exit status of an ended process, and its output and error together.
+pub(crate) fn told(output: Output) -> (Option<i32>, String) {
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code(), String::from_utf8(text).unwrap())
+}
+
+/// Standard output and standard error of a command that succeeds.
+pub(crate) fn success(command: &mut Command) -> (String, String) {
+    let output = command.output().unwrap();
+    let error = error(&output);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{command:?}\n{text}\n{error}");
+    (text, error)
+}
+
+pub(crate) fn succeeded(arguments: &[&str]) -> String {
+    success(&mut command(arguments)).0
+}
+
+/// Standard error of a command that succeeds.
+pub(crate) fn warned(arguments: &[&str]) -> String {
+    success(&mut command(arguments)).1
+}
+
+/// The one line on stderr of a command that ends with `status` and prints nothing else.
+pub(crate) fn failure(command: &mut Command, status: i32) -> String {
+    let output = command.output().unwrap();
+    let line = error(&output);
+    assert_eq!(output.status.code(), Some(status), "{command:?}: {line}");
+    assert_eq!(line.lines().count(), 1, "{command:?}: {line}");
+    assert!(output.stdout.is_empty(), "{command:?}");
+    line
+}
+
+pub(crate) fn failed(arguments: &[&str], status: i32) -> String {
+    failure(&mut command(arguments), status)
+}
+
+/// The line with which a command is refused, with status 2.
+pub(crate) fn refused(arguments: &[&str]) -> String {
+    failed(arguments, 2)
 }
 
 pub(crate) fn train(folder: &Path, more: &[&str]) -> String {
-    let dir = format!("run.dir={}", folder.display());
-    succeeded(&[&["train"], &tiny(more)[..], &[dir.as_str()], more].concat())
+    success(&mut tiny("train", folder, more)).0
 }
 
-pub(crate) fn inspect(folder: &Path) -> serde_json::Value {
-    serde_json::from_str(&succeeded(&["inspect", folder.to_str().unwrap(), "--json"])).unwrap()
+pub(crate) fn inspect(folder: &Path) -> Value {
+    serde_json::from_str(&succeeded(&["inspect", text(folder), "--json"])).unwrap()
 }
 
+pub(crate) fn weights(folder: &Path) -> Value {
+    inspect(folder)["weights_sha256"].clone()
+}
+
+/// The status of a run, by its folder or its learner's URL.
+pub(crate) fn status(of: &str) -> Value {
+    serde_json::from_str(&succeeded(&["status", of, "--json"])).unwrap()
+}
+
+/// The result of `s2mia eval`.
+pub(crate) fn evaluated(run: &str, more: &[&str]) -> Value {
+    let told = succeeded(&[&["eval", run, "--json"], more].concat());
+    serde_json::from_str(&told).unwrap()
+}
+
+/// A file of one JSON value.
+pub(crate) fn json(file: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
+}
+
+/// The whole lines of a run's metrics of this kind, so far.
+pub(crate) fn metrics(folder: &Path, kind: &str) -> Vec<Value> {
+    let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap_or_default();
+    let lines = text.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    lines.filter(|line| line["kind"] == kind).collect()
+}
+
+pub(crate) fn words(all: &[String]) -> Vec<&str> {
+    all.iter().map(String::as_str).collect()
+}
+
+/// A path as an argument.
+pub(crate) fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A folder for the runs of a test.
 pub(crate) struct Runs(tempfile::TempDir);
 
 impl Runs {

@@ -152,7 +152,7 @@ CALLS = {
     "a message of five megabytes": ("TOO_LARGE", five_megabytes),
     "no message of ours": ("UNDECODABLE", no_message),
 }
-# Takes five minutes of silence, or several connections (tests/hostile_peers/resource_limits.rs).
+# Takes five minutes of silence, or several connections (tests/system/hostile_peers/resource_limits.rs).
 UNTRIED = {"TOO_SLOW", "BUSY", "OTHER_CONNECTION"}
 
 

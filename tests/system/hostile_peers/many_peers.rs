@@ -4,9 +4,9 @@ use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{RunDescription, WeightsName, wire};
 use tonic::transport::Endpoint;
 
-use crate::attackers::{Attacker, registration};
-use crate::learners::{Learner, inspect};
-use crate::usage::ProcessUsage;
+use super::attackers::{Attacker, registration};
+use super::{ProcessUsage, finished, learner};
+use crate::runs::{Runs, inspect};
 
 const PEERS: usize = 200;
 /// Maximum memory of the learner per peer that reads nothing, mostly unsent data.
@@ -31,12 +31,11 @@ async fn peer(url: String, run: RunDescription, weights: WeightsName) -> impl Si
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affect_the_run() {
-    let folder = tempfile::tempdir().unwrap();
-    let (attacked, undisturbed) =
-        (folder.path().join("attacked"), folder.path().join("undisturbed"));
-    let settings = SETTINGS.map(str::to_owned);
-    let mut learner = Learner::start(&attacked, &settings);
-    let before = ProcessUsage::of(learner.process.id());
+    let runs = Runs::new();
+    let (attacked, undisturbed) = (runs.folder("attacked"), runs.folder("undisturbed"));
+    learner(&undisturbed, &SETTINGS).finish(&[]);
+    let learner = learner(&attacked, &SETTINGS);
+    let before = ProcessUsage::of(&learner);
     let mut first = Attacker::connect(&learner.url).await;
     let (run, weights) = (first.run.clone(), first.lease().await.weights);
     let peer = |_| tokio::spawn(peer(learner.url.clone(), run.clone(), weights));
@@ -45,7 +44,7 @@ async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affec
     for each in peers {
         held.push(each.await.unwrap());
     }
-    let during = ProcessUsage::of(learner.process.id());
+    let during = ProcessUsage::of(&learner);
     assert!(during.descriptors <= before.descriptors + PEERS + 16, "{before:?}, {during:?}");
     assert!(
         during.resident_mib <= before.resident_mib + MOST_MIB_EACH * PEERS as u64,
@@ -53,12 +52,10 @@ async fn two_hundred_idle_and_vanishing_peers_use_little_memory_and_do_not_affec
     );
     // Half of them disconnect, the others stay idle while a valid actor does the work.
     held.truncate(PEERS / 2);
-    while ProcessUsage::of(learner.process.id()).descriptors > before.descriptors + PEERS / 2 + 16 {
+    while ProcessUsage::of(&learner).descriptors > before.descriptors + PEERS / 2 + 16 {
         tokio::task::yield_now().await;
     }
-    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+    finished(learner).await;
     drop(held);
-    let mut quiet = Learner::start(&undisturbed, &settings);
-    tokio::task::spawn_blocking(move || quiet.finish(&[])).await.unwrap();
     assert_eq!(inspect(&attacked), inspect(&undisturbed));
 }

@@ -6,9 +6,9 @@ use std::io::Write as _;
 use proto::{Digest, Reason, Refusal, Registration, TrajectoryChunk, Work, wire};
 use tonic::Status;
 
-use crate::UNDISTURBED;
-use crate::attackers::{Attacker, arbitrary_chunk, message, registration};
-use crate::learners::{Learner, inspect};
+use super::attackers::{Attacker, arbitrary_chunk, message, registration};
+use super::{UNDISTURBED, finished, learner};
+use crate::runs::{Runs, inspect, metrics};
 
 /// Changes to the chunk and to the message, and the expected reason and field.
 type Attack =
@@ -97,17 +97,16 @@ fn send_random_bytes(url: &str) {
 
 #[tokio::test]
 async fn invalid_messages_are_refused_by_field_and_counted_and_do_not_affect_the_run() {
-    let folder = tempfile::tempdir().unwrap();
-    let attacked = folder.path().join("attacked");
-    let mut learner = Learner::start(&attacked, &[]);
+    let runs = Runs::new();
+    let attacked = runs.folder("attacked");
+    let learner = learner(&attacked, &[]);
     send_random_bytes(&learner.url);
     for each in ATTACKS {
         attack(&learner.url, each).await;
     }
     let more = send_invalid_requests(&learner.url).await;
-    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
-    let metrics = std::fs::read_to_string(attacked.join("metrics.jsonl")).unwrap();
-    let last: serde_json::Value = serde_json::from_str(metrics.lines().last().unwrap()).unwrap();
+    finished(learner).await;
+    let last = metrics(&attacked, "iteration").pop().unwrap();
     assert_eq!(last["messages_refused"], ATTACKS.len() + more);
     assert_eq!(inspect(&attacked), *UNDISTURBED);
 }

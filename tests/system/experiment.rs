@@ -1,23 +1,102 @@
 //! Whole experiments with real processes: stopped, killed and resumed, they end with the same weights, and a failed
 //! run does not stop the others.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-#[path = "system/experiments.rs"]
-mod experiments;
-
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
-use std::time::Duration;
 
-use experiments::{Experiment, s2mia};
+use serde_json::Value;
+
+use crate::processes::{Background, until};
+use crate::runs::{command, error, inspect, succeeded, text, told};
+
+/// Options with which all runs are started, two at a time.
+const ALL: [&str; 2] = ["--jobs", "2"];
+
+/// A small experiment: two variants of a game, three runs, one of them much longer than the others.
+struct Experiment {
+    directory: tempfile::TempDir,
+    file: String,
+}
+
+impl Experiment {
+    fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let text = format!(
+            r#"
+            folder = "{folder}/runs"
+            record = "{folder}/record.csv"
+            env_steps = 2_000
+            seeds = [0, 1]
+            tasks = ["cue-2x1"]
+            actors = 1
+            threads = 1
+            baseline = "short"
+            threshold = 0.5
+            settings.evaluation.every_steps = 1_000
+            settings.evaluation.episodes = 1
+            settings.checkpoint.every = 2
+
+            [[variants]]
+            name = "short"
+            algorithm = "happo"
+
+            [[variants]]
+            name = "long"
+            algorithm = "happo-s2mia"
+            seeds = [3]
+            env_steps = 40_000
+            "#,
+            folder = directory.path().display()
+        );
+        let file = directory.path().join("experiment.toml");
+        std::fs::write(&file, text).unwrap();
+        Self { file: file.to_str().unwrap().to_owned(), directory }
+    }
+
+    /// `s2mia experiment` with its file.
+    fn command(&self, more: &[&str]) -> Command {
+        command(&[&["experiment", &self.file], more].concat())
+    }
+
+    /// Runs the command with success; returns its output.
+    fn run(&self, more: &[&str]) -> String {
+        let (status, text) = told(self.command(more).output().unwrap());
+        assert_eq!(status, Some(0), "{text}");
+        text
+    }
+
+    fn record(&self) -> String {
+        std::fs::read_to_string(self.directory.path().join("record.csv")).unwrap()
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.directory.path().join("runs")
+    }
+
+    /// Runs all and sends the signal when the first run has finished, while the long one continues.
+    fn end_after_its_first_run(&self, signal: &str) -> (Option<i32>, String) {
+        let mut process = Background::start(&mut self.command(&ALL));
+        while !process.line().ends_with(" is finished") {}
+        process.signal(signal);
+        let (status, lines) = process.end();
+        (status, lines.join("\n"))
+    }
+
+    /// State hashes of all runs, in the order of their names.
+    fn hashes(&self) -> Vec<Value> {
+        let names = ["cue-2x1-long-seed3", "cue-2x1-short-seed0", "cue-2x1-short-seed1"];
+        let state = |name| inspect(&self.folder().join(name))["state_sha256"].clone();
+        names.map(state).to_vec()
+    }
+}
 
 /// State hashes of the runs of an undisturbed experiment.
-fn undisturbed() -> &'static [String] {
-    static HASHES: OnceLock<Vec<String>> = OnceLock::new();
+fn undisturbed() -> &'static [Value] {
+    static HASHES: OnceLock<Vec<Value>> = OnceLock::new();
     HASHES.get_or_init(|| {
         let experiment = Experiment::new();
-        experiment.run();
+        experiment.run(&ALL);
         experiment.hashes()
     })
 }
@@ -30,7 +109,7 @@ fn table(told: &str) -> Vec<&str> {
 #[test]
 fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing_without_folders() {
     let experiment = Experiment::new();
-    let told = experiment.run();
+    let told = experiment.run(&ALL);
     assert!(
         told.contains("3 of 3 runs are finished") && told.contains("| cue-2x1 | short | 2 |"),
         "{told}"
@@ -42,35 +121,34 @@ fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing
     }
     let results = std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap();
     std::fs::remove_file(experiment.folder().join("results.csv")).unwrap();
-    let (status, report) = s2mia(&["experiment", experiment.file(), "--report"]);
-    assert_eq!(status, Some(0), "{report}");
+    experiment.run(&["--report"]);
     assert_eq!(std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap(), results);
 
-    let record = std::fs::read_to_string(experiment.record()).unwrap();
+    let record = experiment.record();
     let lines = experiment.folder().join("cue-2x1-long-seed3/provenance.jsonl");
     let lines = std::fs::read_to_string(lines).unwrap();
-    let last: serde_json::Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+    let last: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
     let weights = last["weights_sha256"].as_str().unwrap();
     let of_long = |line: &&str| line.starts_with("cue-2x1,long,3,40000,") && line.contains(weights);
     assert_eq!(record.lines().filter(of_long).count(), 1, "{record}");
     std::fs::remove_dir_all(experiment.folder()).unwrap();
-    let (_, listed) = s2mia(&["experiment", experiment.file(), "--list"]);
+    let listed = experiment.run(&["--list"]);
     assert_eq!(listed.matches("  recorded").count(), 3, "{listed}");
-    let again = experiment.run();
+    let again = experiment.run(&ALL);
     assert!(again.contains("3 of 3 runs are finished"), "{again}");
     assert!(!again.contains(" is finished\n"), "{again}");
     assert_eq!(table(&again), table(&told));
-    assert_eq!(std::fs::read_to_string(experiment.record()).unwrap(), record);
+    assert_eq!(experiment.record(), record);
 }
 
 #[test]
 fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
-    for signal in ["TERM", "KILL"] {
+    for signal in ["-TERM", "-KILL"] {
         let experiment = Experiment::new();
         let (status, told) = experiment.end_after_its_first_run(signal);
-        assert_eq!(status, (signal == "TERM").then_some(0), "{told}");
-        assert_eq!(told.contains("resume with `s2mia experiment"), signal == "TERM", "{told}");
-        let told = experiment.run();
+        assert_eq!(status, (signal == "-TERM").then_some(0), "{told}");
+        assert_eq!(told.contains("resume with `s2mia experiment"), signal == "-TERM", "{told}");
+        let told = experiment.run(&ALL);
         assert!(told.contains("3 of 3 runs are finished"), "{told}");
         assert_eq!(experiment.hashes(), undisturbed(), "{signal}");
     }
@@ -79,29 +157,24 @@ fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
 #[test]
 fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
     let experiment = Experiment::new();
-    let (status, told) = experiment.run_part(&["--only", "3"]);
-    assert_eq!(status, Some(2), "{told}");
-    let (status, told) = experiment.run_part(&["--shard", "0/2"]);
-    assert_eq!((status, told.matches(" is finished\n").count()), (Some(0), 2), "{told}");
+    let absent = experiment.command(&["--only", "3"]).output().unwrap();
+    assert_eq!(absent.status.code(), Some(2), "{}", error(&absent));
+    let one = ["--jobs", "1", "--shard"];
+    let told = experiment.run(&[&one[..], &["0/2"]].concat());
+    assert_eq!(told.matches(" is finished\n").count(), 2, "{told}");
     assert!(told.contains("2 of 2 selected runs are finished; when all runs are"), "{told}");
     assert!(!experiment.folder().join("results.md").exists());
-    let process = experiment.start_part(&["--shard", "1/2"]);
+    let second = [&one[..], &["1/2"]].concat();
+    let mut process = Background::start(&mut experiment.command(&second));
     let begun = experiment.folder().join("cue-2x1-long-seed3/metrics.jsonl");
-    while !begun.exists() {
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    until("the run has begun", || begun.exists());
     // A cluster signals all processes of a job, and the job's script passes the signal on.
-    for _ in 0..2 {
-        let id = process.id().to_string();
-        assert!(Command::new("kill").args(["-s", "TERM", &id]).status().unwrap().success());
-    }
-    let output = process.wait_with_output().unwrap();
-    let told = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{told}");
-    let resume = format!("resume with `s2mia experiment {} --shard 1/2`", experiment.file());
+    process.signal("-TERM");
+    process.signal("-TERM");
+    let told = process.rest().join("\n");
+    let resume = format!("resume with `s2mia experiment {} --shard 1/2`", experiment.file);
     assert!(told.contains(&resume), "{told}");
-    let (status, told) = experiment.run_part(&["--only", "1"]);
-    assert_eq!(status, Some(0), "{told}");
+    let told = experiment.run(&["--only", "1"]);
     assert!(told.contains("3 of 3 runs are finished"), "{told}");
     assert!(experiment.folder().join("results.md").exists());
     assert_eq!(experiment.hashes(), undisturbed());
@@ -111,10 +184,9 @@ fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
 fn a_dry_run_prints_the_script_of_the_job_array_and_writes_nothing() {
     let experiment = Experiment::new();
     let slurm = ["--submit", "slurm", "--time", "4:00:00", "--dry-run"];
-    let (status, script) = s2mia(&[&["experiment", experiment.file()], &slurm[..]].concat());
-    assert_eq!(status, Some(0), "{script}");
+    let script = experiment.run(&slurm);
     assert!(script.starts_with("#!/bin/bash\n") && script.contains("--array=0-2\n"), "{script}");
-    assert!(script.contains(&format!("experiment '{}' --shard", experiment.file())), "{script}");
+    assert!(script.contains(&format!("experiment '{}' --shard", experiment.file)), "{script}");
     assert!(!experiment.folder().exists());
     let checked = Command::new("bash").args(["-n", "-c", &script]).status().unwrap();
     assert!(checked.success());
@@ -130,14 +202,11 @@ fn a_host_without_slurm_and_an_option_of_the_other_engine_are_refused_in_one_lin
         ("k8s", "--dry-run", "--dry-run is an option of --submit slurm"),
         ("k8s", "--array-limit=2", "does not exist in a pod; --submit k8s needs a relative path"),
     ] {
-        let output = Command::new(env!("CARGO_BIN_EXE_s2mia"))
-            .args(["experiment", experiment.file(), "--submit", engine, option])
-            .env("PATH", "")
-            .output()
-            .unwrap();
-        let told = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{told}");
-        assert!(told.contains(words) && told.lines().count() == 1, "{told}");
+        let mut submit = experiment.command(&["--submit", engine, option]);
+        let output = submit.env("PATH", "").output().unwrap();
+        let line = error(&output);
+        assert_eq!(output.status.code(), Some(2), "{line}");
+        assert!(line.contains(words) && line.lines().count() == 1, "{line}");
         assert!(!experiment.folder().exists());
     }
 }
@@ -149,7 +218,7 @@ fn a_run_whose_folder_contains_another_run_fails_with_advice_and_the_others_cont
     std::fs::create_dir_all(&wrong).unwrap();
     std::fs::write(wrong.join("config.toml"), "no_such_key = 1\n").unwrap();
     std::fs::write(wrong.join("manifest.json"), "{}\n").unwrap();
-    let (status, told) = s2mia(&["experiment", experiment.file()]);
+    let (status, told) = told(experiment.command(&[]).output().unwrap());
     assert_eq!(status, Some(1), "{told}");
     assert!(
         told.contains("cue-2x1-short-seed0 cannot begin: ") && told.contains("`no_such_key`"),
@@ -180,8 +249,7 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("tuning-terms.toml", "90 runs, 27,000,000 steps", 90),
         ("signal.toml", "90 runs, 18,000,000 steps", 90),
     ] {
-        let (status, told) = s2mia(&["experiment", folder.join(name).to_str().unwrap(), "--list"]);
-        assert_eq!(status, Some(0), "{told}");
+        let told = succeeded(&["experiment", text(&folder.join(name)), "--list"]);
         assert!(told.lines().last().unwrap().starts_with(all), "{told}");
         let found = told.lines().filter(|line| line.ends_with(" recorded")).count();
         assert_eq!(found, recorded, "{name}: {told}");

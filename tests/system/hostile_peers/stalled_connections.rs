@@ -2,13 +2,12 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
-use crate::UNDISTURBED;
-use crate::http2_frames;
-use crate::learners::{Learner, inspect};
-use crate::usage::ProcessUsage;
+use super::{ProcessUsage, UNDISTURBED, http2_frames, learner};
+use crate::certificates::Certificates;
+use crate::processes::{Learner, until};
+use crate::runs::{Runs, inspect, words};
 
 const EACH: usize = 60;
 /// Maximum memory of the learner per stalled connection.
@@ -60,7 +59,7 @@ fn all_closed(connections: Vec<TcpStream>, begun: Instant) {
 }
 
 fn uses_little(learner: &Learner, before: ProcessUsage, connections: usize) {
-    let during = ProcessUsage::of(learner.process.id());
+    let during = ProcessUsage::of(learner);
     let most = before.resident_mib as f64 + MOST_MIB_EACH * connections as f64;
     assert!(during.resident_mib as f64 <= most, "{before:?}, {during:?}");
     assert!(during.descriptors <= before.descriptors + connections + 16, "{before:?}, {during:?}");
@@ -68,19 +67,17 @@ fn uses_little(learner: &Learner, before: ProcessUsage, connections: usize) {
 
 #[test]
 fn stalled_connections_are_closed_in_time_and_the_run_continues() {
-    let folder = tempfile::tempdir().unwrap();
-    let attacked = folder.path().join("attacked");
-    let mut learner = Learner::start(&attacked, &[]);
-    let before = ProcessUsage::of(learner.process.id());
+    let runs = Runs::new();
+    let attacked = runs.folder("attacked");
+    let mut learner = learner(&attacked, &[]);
+    let before = ProcessUsage::of(&learner);
     let begun = Instant::now();
     let connections = stalled_connections(&learner.url, &first_bytes());
     uses_little(&learner, before, connections.len());
     all_closed(connections, begun);
-    let deadline = Instant::now() + TIMEOUT;
-    while ProcessUsage::of(learner.process.id()).descriptors > before.descriptors + 8 {
-        assert!(Instant::now() < deadline, "descriptors of closed connections are still open");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    until("descriptors of closed connections are free", || {
+        ProcessUsage::of(&learner).descriptors <= before.descriptors + 8
+    });
     let log = learner.finish(&[]);
     let closed = log.lines().filter(|line| line.contains("no handshake within 10 s"));
     assert_eq!(closed.count(), 2 * EACH, "{log}");
@@ -89,9 +86,9 @@ fn stalled_connections_are_closed_in_time_and_the_run_continues() {
 
 #[test]
 fn stalled_connections_do_not_affect_the_weights() {
-    let folder = tempfile::tempdir().unwrap();
-    let attacked = folder.path().join("attacked");
-    let mut learner = Learner::start(&attacked, &[]);
+    let runs = Runs::new();
+    let attacked = runs.folder("attacked");
+    let mut learner = learner(&attacked, &[]);
     let connections = stalled_connections(&learner.url, &first_bytes());
     learner.finish(&[]);
     drop(connections);
@@ -100,22 +97,13 @@ fn stalled_connections_do_not_affect_the_weights() {
 
 #[test]
 fn half_a_tls_handshake_is_closed_in_time() {
-    let folder = tempfile::tempdir().unwrap();
-    let own = folder.path().join("certificates");
-    let made = Command::new(env!("CARGO_BIN_EXE_s2mia")).arg("certs").arg(&own).output().unwrap();
-    assert!(made.status.success());
-    let file = |name: &str| own.join(name).to_str().unwrap().to_owned();
-    let tls = [
-        ("--tls-certificate", file("server.pem")),
-        ("--tls-key", file("server.key")),
-        ("--tls-client-ca", file("ca.pem")),
-    ];
-    let tls = tls.into_iter().flat_map(|(flag, path)| [flag.to_owned(), path]).collect::<Vec<_>>();
-    let mut learner = Learner::start(&folder.path().join("run"), &tls);
-    let before = ProcessUsage::of(learner.process.id());
+    let runs = Runs::new();
+    let tls = Certificates::make(runs.folder("certificates")).of_learner();
+    let mut learner = learner(&runs.folder("run"), &words(&tls));
+    let before = ProcessUsage::of(&learner);
     let begun = Instant::now();
     let connections = stalled_connections(&learner.url, &[Vec::new(), half_a_handshake()]);
     uses_little(&learner, before, connections.len());
     all_closed(connections, begun);
-    learner.stop();
+    learner.process.stop();
 }

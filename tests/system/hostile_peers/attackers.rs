@@ -9,14 +9,14 @@ use tonic::Status;
 use tonic::transport::Channel;
 
 /// A registered client with a separate connection, so that attacks do not affect each other.
-pub(crate) struct Attacker {
-    pub(crate) service: LearnerServiceClient<Channel>,
-    pub(crate) run: RunDescription,
-    pub(crate) own: Registered,
+pub(super) struct Attacker {
+    pub(super) service: LearnerServiceClient<Channel>,
+    pub(super) run: RunDescription,
+    pub(super) own: Registered,
 }
 
 impl Attacker {
-    pub(crate) async fn connect(url: &str) -> Self {
+    pub(super) async fn connect(url: &str) -> Self {
         let mut service = LearnerServiceClient::connect(url.to_owned()).await.unwrap();
         let run = service.describe_run(wire::DescribeRunRequest {}).await.unwrap().into_inner();
         let run = RunDescription::from_wire(run.run).unwrap();
@@ -25,27 +25,31 @@ impl Attacker {
         Self { service, run, own }
     }
 
-    pub(crate) async fn lease(&mut self) -> Lease {
+    pub(super) async fn asks_for_work(&mut self, wait_millis: u32) -> LeaseAnswer {
         let request = wire::LeaseSlotsRequest {
             actor_id: self.own.actor.0,
             incarnation: self.own.incarnation.0,
-            wait_millis: 20_000,
+            wait_millis,
             log_steps_lost: 0,
         };
         let answer = self.service.lease_slots(request).await.unwrap().into_inner();
-        match LeaseAnswer::from_wire(answer, &self.run).unwrap() {
+        LeaseAnswer::from_wire(answer, &self.run).unwrap()
+    }
+
+    pub(super) async fn lease(&mut self) -> Lease {
+        match self.asks_for_work(20_000).await {
             LeaseAnswer::Lease(lease) => lease,
             other => panic!("expected a lease, got {other:?}"),
         }
     }
 
-    pub(crate) async fn push(&mut self, message: wire::PushTrajectoryRequest) -> Status {
+    pub(super) async fn push(&mut self, message: wire::PushTrajectoryRequest) -> Status {
         let stream = self.service.push_trajectory(tokio_stream::iter([message])).await;
         stream.unwrap().into_inner().message().await.unwrap_err()
     }
 }
 
-pub(crate) fn registration(run: &RunDescription) -> Registration {
+pub(super) fn registration(run: &RunDescription) -> Registration {
     Registration {
         client: "attacker".to_owned(),
         build: run.build.clone(),
@@ -57,7 +61,7 @@ pub(crate) fn registration(run: &RunDescription) -> Registration {
 }
 
 /// A first chunk of the right shape with arbitrary values.
-pub(crate) fn arbitrary_chunk(run: &RunDescription) -> TrajectoryChunk {
+pub(super) fn arbitrary_chunk(run: &RunDescription) -> TrajectoryChunk {
     let rows = (run.chunk_steps * run.environments_per_slot) as usize;
     let stored = (run.chunk_steps / run.hidden_every * run.environments_per_slot) as usize;
     let agents = run.environment.agents.iter().zip(&run.hidden_sizes);
@@ -82,7 +86,7 @@ pub(crate) fn arbitrary_chunk(run: &RunDescription) -> TrajectoryChunk {
 }
 
 /// The message that an actor with this lease would send.
-pub(crate) fn message(
+pub(super) fn message(
     lease: &Lease,
     chunk: &TrajectoryChunk,
     run: &RunDescription,

@@ -2,22 +2,13 @@
 //! a run ends with the same weights, optimiser and densities, bit for bit.
 //!
 //! `cargo test` runs `CELLS`, which contain every pair of values of two columns. All combinations are run and printed
-//! as a table by `EXACTNESS_MATRIX=whole cargo test --test exactness -- --nocapture`.
-#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-#[path = "system/processes.rs"]
-mod processes;
-#[path = "system/runs.rs"]
-mod runs;
-#[path = "system/waiting.rs"]
-mod waiting;
+//! as a table by `EXACTNESS_MATRIX=whole cargo test --test system exactness -- --nocapture`.
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use runs::{Runs, inspect, succeeded, tiny, train};
-use waiting::{eventually, has_begun};
+use crate::processes::{Background, children, has_begun, signal};
+use crate::runs::{Runs, inspect, succeeded, text, tiny, train};
 
 /// A disturbance of a run of six iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,63 +104,35 @@ fn every_combination() -> Vec<Cell> {
 
 const SIX: &str = "run.iterations=6";
 
-fn command(folder: &Path, more: &[&str]) -> Command {
-    let dir = format!("run.dir={}", folder.display());
-    let arguments = [&["train"], &tiny(more)[..], &[dir.as_str()], more].concat();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null());
-    command
-}
-
-fn start(folder: &Path, more: &[&str]) -> Child {
-    command(folder, more).spawn().unwrap()
-}
-
-/// Process ids of the run's actors, once all are started.
-fn actors(run: &Child, wanted: u32) -> Vec<u32> {
-    eventually(|| match processes::children(run.id()) {
-        found if found.len() as u32 >= wanted => Ok(found),
-        found => Err(format!("{} of {wanted} actors have started", found.len())),
-    })
-}
-
-fn signal(process: u32, name: &str) {
-    let sent = Command::new("kill").args([name, &process.to_string()]).status().unwrap();
-    assert!(sent.success());
-}
-
 fn play(folder: &Path, (rule, disturbance, count, threads): Cell) {
-    let (actors_setting, threads) =
-        (format!("run.actors={count}"), format!("learner.threads={threads}"));
-    let machine = [actors_setting.as_str(), threads.as_str()];
+    let (actors, threads) = (format!("run.actors={count}"), format!("learner.threads={threads}"));
+    let machine = [actors.as_str(), threads.as_str()];
     let settings = [rule.settings(), &machine, &[SIX]].concat();
     let resume = || {
-        let again = ["train", "--resume", folder.to_str().unwrap(), SIX];
+        let again = ["train", "--resume", text(folder), SIX];
         succeeded(&[&again[..], &machine].concat());
+    };
+    // Disturbs an actor of a run that has begun, and waits for the end of the run.
+    let disturbed = |more: &[&str], disturb: fn(u32)| {
+        let mut run = tiny("train", folder, &[&settings[..], more].concat());
+        let mut run = Background::start(&mut run);
+        has_begun(folder);
+        disturb(children(run.process.id(), count as usize)[0]);
+        run.rest();
     };
     match disturbance {
         Nothing => drop(train(folder, &settings)),
-        ActorKilled => {
-            let mut run = start(folder, &settings);
-            has_begun(folder);
-            signal(actors(&run, count)[0], "-KILL");
-            assert!(run.wait().unwrap().success());
-        }
-        ActorFrozen => {
-            let lease = ["lease.ttl_secs=0.4"];
-            let mut run = start(folder, &[&settings[..], &lease].concat());
-            has_begun(folder);
-            let frozen = actors(&run, count)[0];
-            signal(frozen, "-STOP");
+        ActorKilled => disturbed(&[], |actor| signal(actor, "-KILL")),
+        ActorFrozen => disturbed(&["lease.ttl_secs=0.4"], |actor| {
+            signal(actor, "-STOP");
             // Until the lease has expired: with other actors the run continues meanwhile, with one it waits.
             std::thread::sleep(Duration::from_millis(800));
-            signal(frozen, "-CONT");
-            assert!(run.wait().unwrap().success());
-        }
+            signal(actor, "-CONT");
+        }),
         LearnerDies(point) => {
-            let mut run = command(folder, &settings);
-            let ended = run.env("S2MIA_FAIL_AT", point).status().unwrap();
-            assert!(!ended.success(), "{point} was never reached");
+            let mut run = tiny("train", folder, &settings);
+            let ended = run.env("S2MIA_FAIL_AT", point).output().unwrap();
+            assert!(!ended.status.success(), "{point} was never reached");
             resume();
         }
         Stopped => {
@@ -243,7 +206,7 @@ fn every_variant_ends_with_the_same_state_with_any_number_of_actors_and_slots_an
         train(&whole, &[variant, &small].concat());
         let large = ["run.iterations=2", "run.actors=1", "environments.per_slot=4"];
         train(&parts, &[variant, &large].concat());
-        succeeded(&["train", "--resume", parts.to_str().unwrap(), "run.iterations=4"]);
+        succeeded(&["train", "--resume", text(&parts), "run.iterations=4"]);
         assert_eq!(inspect(&parts), inspect(&whole), "{variant:?}");
     }
 }

@@ -1,16 +1,13 @@
 //! Peers that send in another actor's name, and peers that use many resources. Neither ends an actor's lease, exhausts
 //! memory or blocks health probes.
 
-use std::process::Command;
-
 use proto::wire::learner_service_client::LearnerServiceClient;
-use proto::{Heartbeat, Reason, Refusal, wire};
+use proto::{Heartbeat, LeaseAnswer, Reason, Refusal, wire};
 use tonic::transport::{Channel, Endpoint};
 
-use crate::UNDISTURBED;
-use crate::attackers::{Attacker, arbitrary_chunk, message, registration};
-use crate::learners::{Learner, inspect};
-use crate::usage::ProcessUsage;
+use super::attackers::{Attacker, arbitrary_chunk, message, registration};
+use super::{ProcessUsage, UNDISTURBED, finished, learner};
+use crate::runs::{Runs, inspect, s2mia};
 
 /// Maximum growth of the learner's memory during a flood: 1,024 requests of 256 KiB, and overhead of the allocator.
 const MOST_MIB: u64 = 500;
@@ -23,9 +20,9 @@ async fn is_valid(attacker: &mut Attacker, lease: proto::LeaseId) -> bool {
 
 #[tokio::test]
 async fn pushes_over_another_connection_do_not_end_a_lease_and_quarantine_their_sender() {
-    let folder = tempfile::tempdir().unwrap();
-    let attacked = folder.path().join("attacked");
-    let mut learner = Learner::start(&attacked, &[]);
+    let runs = Runs::new();
+    let attacked = runs.folder("attacked");
+    let learner = learner(&attacked, &[]);
     let mut honest = Attacker::connect(&learner.url).await;
     let lease = honest.lease().await;
     let forged = message(&lease, &arbitrary_chunk(&honest.run), &honest.run);
@@ -39,25 +36,15 @@ async fn pushes_over_another_connection_do_not_end_a_lease_and_quarantine_their_
         assert_eq!(refusal.reason, Reason::OtherConnection, "{refusal}");
         assert!(is_valid(&mut honest, lease.id).await);
     }
-    let asked = wire::LeaseSlotsRequest {
-        actor_id: registered.own.actor.0,
-        incarnation: registered.own.incarnation.0,
-        wait_millis: 0,
-        log_steps_lost: 0,
-    };
-    let answer = registered.service.lease_slots(asked).await.unwrap().into_inner().answer;
-    assert!(
-        matches!(answer, Some(wire::lease_slots_response::Answer::Retry(_))),
-        "not in quarantine: {answer:?}"
-    );
+    let answer = registered.asks_for_work(0).await;
+    assert!(matches!(answer, LeaseAnswer::Retry { .. }), "not in quarantine: {answer:?}");
     drop((honest, registered, unregistered));
-    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+    finished(learner).await;
     assert_eq!(inspect(&attacked), *UNDISTURBED);
 }
 
 fn is_healthy(url: &str) -> bool {
-    let mut health = Command::new(env!("CARGO_BIN_EXE_s2mia"));
-    health.args(["health", "--learner", url]).output().unwrap().status.success()
+    s2mia(&["health", "--learner", url]).status.success()
 }
 
 /// Sixteen concurrent calls over one connection: large registrations, and streams with a large message.
@@ -92,26 +79,25 @@ async fn flood(url: String) -> Channel {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_of_large_requests_uses_bounded_memory() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut learner = Learner::start(&folder.path().join("run"), &[]);
-    let before = ProcessUsage::of(learner.process.id());
+    let runs = Runs::new();
+    let learner = learner(&runs.folder("run"), &[]);
+    let before = ProcessUsage::of(&learner);
     let floods = (0..64).map(|_| tokio::spawn(flood(learner.url.clone()))).collect::<Vec<_>>();
     let mut most = before.resident_mib;
     let mut channels = Vec::new();
     for flood in floods {
         channels.push(flood.await.unwrap());
-        most = most.max(ProcessUsage::of(learner.process.id()).resident_mib);
+        most = most.max(ProcessUsage::of(&learner).resident_mib);
     }
     assert!(most <= before.resident_mib + MOST_MIB, "{most} MiB, {before:?}");
     assert!(is_healthy(&learner.url));
-    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+    finished(learner).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_learner_at_its_connection_limits_answers_probes_and_refuses_actors() {
-    let folder = tempfile::tempdir().unwrap();
-    let few = ["learner.connections=3"].map(str::to_owned);
-    let mut learner = Learner::start(&folder.path().join("run"), &few);
+    let runs = Runs::new();
+    let learner = learner(&runs.folder("run"), &["learner.connections=3"]);
     let mut actors = Vec::new();
     for _ in 0..3 {
         actors.push(Attacker::connect(&learner.url).await);
@@ -125,9 +111,9 @@ async fn a_learner_at_its_connection_limits_answers_probes_and_refuses_actors() 
     let refusal = Refusal::from_status(&refused).unwrap();
     assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::Busy, "connection"));
     assert!(is_healthy(&learner.url));
-    assert!(learner.log().contains("too many connections without an actor"));
+    assert!(learner.process.log().contains("too many connections without an actor"));
     let lease = actors[0].lease().await.id;
     assert!(is_valid(&mut actors[0], lease).await);
     drop((actors, idle, late));
-    tokio::task::spawn_blocking(move || learner.finish(&[])).await.unwrap();
+    finished(learner).await;
 }

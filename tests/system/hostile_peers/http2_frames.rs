@@ -1,7 +1,7 @@
 //! HTTP/2 frames encoded by hand (RFC 9113), for clients that stall in the middle of one.
 
 /// The first bytes of a client: the preface and an empty SETTINGS frame.
-pub(crate) const FIRST_BYTES: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+pub(super) const FIRST_BYTES: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
 const DATA: u8 = 0;
 const HEADERS: u8 = 1;
@@ -32,13 +32,13 @@ fn call() -> Vec<u8> {
 }
 
 /// The first bytes and half of the headers of a call.
-pub(crate) fn half_a_header_block() -> Vec<u8> {
+pub(super) fn half_a_header_block() -> Vec<u8> {
     let block = call();
     [FIRST_BYTES, &frame(HEADERS, 0, &block[..block.len() / 2])].concat()
 }
 
 /// A call whose message announces the largest allowed length but has three bytes.
-pub(crate) fn half_a_message() -> Vec<u8> {
+pub(super) fn half_a_message() -> Vec<u8> {
     let length = u32::try_from(proto::MAX_MESSAGE_BYTES).unwrap().to_be_bytes();
     let begun = [&[0], length.as_slice(), &[1, 2, 3]].concat();
     [FIRST_BYTES, &frame(HEADERS, END_HEADERS, &call()), &frame(DATA, 0, &begun)].concat()
