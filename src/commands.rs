@@ -120,12 +120,8 @@ Later layers override earlier ones:
   section.key=value             arguments";
 
 impl Arguments {
-    /// The arguments of this process.
-    pub(crate) fn of_process() -> Result<Self, clap::Error> {
-        Self::of(std::env::args_os())
-    }
-
-    fn of<T: Into<OsString> + Clone>(
+    /// The arguments in a command line, which begins with the name of the program.
+    pub(crate) fn of<T: Into<OsString> + Clone>(
         line: impl IntoIterator<Item = T>,
     ) -> Result<Self, clap::Error> {
         let mut command = with_home(Self::command());

@@ -79,57 +79,6 @@ pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
     Ok(runs)
 }
 
-fn planned(
-    file: &ExperimentFile,
-    variant: &Variant,
-    task: &str,
-    seed: u64,
-) -> anyhow::Result<PlannedRun> {
-    let of = |table: &Option<toml::Table>| table.as_ref().map(assignments).unwrap_or_default();
-    let env_steps = variant.env_steps.unwrap_or(file.env_steps);
-    let mut settings = vec![format!("task={task}"), format!("algorithm={}", variant.algorithm)];
-    let url = file.environments.get(task).map(|url| format!("environment_service.url={url}"));
-    settings.extend(url);
-    settings.extend(of(&file.settings));
-    settings.extend(of(&variant.settings));
-    settings.extend([
-        format!("run.seed={seed}"),
-        format!("run.env_steps={env_steps}"),
-        format!("run.actors={}", file.actors),
-        format!("learner.threads={}", file.threads),
-    ]);
-    let place = format!("{}, variant {} on {task}", file.path.display(), variant.name);
-    let mut config = resolved(&settings, &place)?;
-    if let Some(every) = adapted(&config, &place) {
-        settings.push(format!("{EVERY_STEPS}={every}"));
-        config = resolved(&settings, &place)?;
-    }
-    if config.learner.evaluation.every_steps == 0 {
-        let why = format!("{place}: {EVERY_STEPS} must be above 0: evaluations are compared");
-        return Err(Usage::new(why).into());
-    }
-    let task = config.resolved.text("task").to_owned();
-    let folder = file.folder.join(format!("{task}-{}-seed{seed}", variant.name));
-    let variant = variant.name.clone();
-    Ok(PlannedRun { index: 0, task, variant, seed, folder, settings, config })
-}
-
-fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {
-    let mut request = Request::from_process(Vec::new(), settings.to_vec());
-    request.settings_place = Some(place.to_owned());
-    Ok(RunConfig::of(&request)?)
-}
-
-/// A shorter interval between evaluations for a run that is too short for the default one. `place` is the origin of what the
-/// experiment's file sets; it may itself begin as the origins of defaults do.
-fn adapted(config: &RunConfig, place: &str) -> Option<u64> {
-    let origin = config.resolved.origin(EVERY_STEPS);
-    let is_default = origin != place && origin.starts_with("configs/");
-    let tenth = (config.env_steps() / EVALUATIONS).max(1);
-    let every = config.learner.evaluation.every_steps;
-    (is_default && tenth < every).then_some(tenth)
-}
-
 /// A line for each variant with too few evaluations for a curve.
 pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
     let few = |run: &PlannedRun| {
@@ -220,6 +169,57 @@ impl Display for Selection {
             Self::Only(index) => write!(f, " --only {index}"),
         }
     }
+}
+
+fn planned(
+    file: &ExperimentFile,
+    variant: &Variant,
+    task: &str,
+    seed: u64,
+) -> anyhow::Result<PlannedRun> {
+    let of = |table: &Option<toml::Table>| table.as_ref().map(assignments).unwrap_or_default();
+    let env_steps = variant.env_steps.unwrap_or(file.env_steps);
+    let mut settings = vec![format!("task={task}"), format!("algorithm={}", variant.algorithm)];
+    let url = file.environments.get(task).map(|url| format!("environment_service.url={url}"));
+    settings.extend(url);
+    settings.extend(of(&file.settings));
+    settings.extend(of(&variant.settings));
+    settings.extend([
+        format!("run.seed={seed}"),
+        format!("run.env_steps={env_steps}"),
+        format!("run.actors={}", file.actors),
+        format!("learner.threads={}", file.threads),
+    ]);
+    let place = format!("{}, variant {} on {task}", file.path.display(), variant.name);
+    let mut config = resolved(&settings, &place)?;
+    if let Some(every) = adapted(&config, &place) {
+        settings.push(format!("{EVERY_STEPS}={every}"));
+        config = resolved(&settings, &place)?;
+    }
+    if config.learner.evaluation.every_steps == 0 {
+        let why = format!("{place}: {EVERY_STEPS} must be above 0: evaluations are compared");
+        return Err(Usage::new(why).into());
+    }
+    let task = config.resolved.text("task").to_owned();
+    let folder = file.folder.join(format!("{task}-{}-seed{seed}", variant.name));
+    let variant = variant.name.clone();
+    Ok(PlannedRun { index: 0, task, variant, seed, folder, settings, config })
+}
+
+fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {
+    let mut request = Request::from_process(Vec::new(), settings.to_vec());
+    request.settings_place = Some(place.to_owned());
+    Ok(RunConfig::of(&request)?)
+}
+
+/// A shorter interval between evaluations for a run that is too short for the default one. `place` is the origin of what the
+/// experiment's file sets; it may itself begin as the origins of defaults do.
+fn adapted(config: &RunConfig, place: &str) -> Option<u64> {
+    let origin = config.resolved.origin(EVERY_STEPS);
+    let is_default = origin != place && origin.starts_with("configs/");
+    let tenth = (config.env_steps() / EVALUATIONS).max(1);
+    let every = config.learner.evaluation.every_steps;
+    (is_default && tenth < every).then_some(tenth)
 }
 
 #[cfg(test)]

@@ -26,9 +26,35 @@ const MOST_COLUMNS: usize = 3;
 
 /// Name of the picture of the returns.
 pub(crate) const LEARNING_CURVE: &str = "learning_curve";
+
 /// Name of the picture of returns and terms.
 pub(crate) const ABLATION: &str = "ablation";
+
 const ENDINGS: [&str; 2] = ["svg", "png"];
+
+/// Marks on one curve, about.
+const MARKS: usize = 6;
+
+/// Size of a lone panel's axes in SVG units; the PNG has twice as many pixels.
+const WIDTH: f64 = 720.0;
+
+const HEIGHT: f64 = 420.0;
+
+/// Size of a panel among others; one that has a row to itself is as wide as a lone one.
+const CELL_WIDTH: f64 = 340.0;
+
+const CELL_HEIGHT: f64 = 270.0;
+
+/// Marks on an axis of a panel among others, about.
+const TICKS: usize = 4;
+
+/// How visible the two bands are.
+const RANGE_OPACITY: f64 = 0.26;
+
+const CONFIDENCE_OPACITY: f64 = 0.13;
+
+/// Most curves of a panel with both bands.
+const MOST_WITH_RANGES: usize = 3;
 
 /// The files of the picture `name` in a folder.
 pub(crate) fn paths(folder: &Path, name: &str) -> [PathBuf; 2] {
@@ -65,24 +91,6 @@ fn write(paths: [PathBuf; 2], panels: &[Panel], columns: usize) -> anyhow::Resul
     written.collect()
 }
 
-/// Marks on one curve, about.
-const MARKS: usize = 6;
-
-/// Size of a lone panel's axes in SVG units; the PNG has twice as many pixels.
-const WIDTH: f64 = 720.0;
-const HEIGHT: f64 = 420.0;
-
-/// Size of a panel among others; one that has a row to itself is as wide as a lone one.
-const CELL_WIDTH: f64 = 340.0;
-const CELL_HEIGHT: f64 = 270.0;
-
-/// Marks on an axis of a panel among others, about.
-const TICKS: usize = 4;
-
-/// How visible the two bands are.
-const RANGE_OPACITY: f64 = 0.26;
-const CONFIDENCE_OPACITY: f64 = 0.13;
-
 /// Bands around the curves of a picture.
 #[derive(Clone, Copy, PartialEq)]
 enum Bands {
@@ -118,9 +126,6 @@ impl Bands {
         }
     }
 }
-
-/// Most curves of a panel with both bands.
-const MOST_WITH_RANGES: usize = 3;
 
 /// A picture in both forms.
 struct Picture {

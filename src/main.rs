@@ -24,7 +24,7 @@ use crate::errors::{ENVIRONMENT_OUTAGE, Incomplete, Usage};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    let arguments = match commands::Arguments::of_process() {
+    let arguments = match commands::Arguments::of(std::env::args_os()) {
         Ok(arguments) => arguments,
         Err(error) => return commands::report(&error),
     };

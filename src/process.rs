@@ -20,18 +20,33 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::watch;
 
+/// The beginnings of the panics of libraries that cannot start a thread: of tokio, of the standard library and of rayon.
+const PANICS: [&str; 3] = [
+    "OS can't spawn worker thread",
+    "failed to spawn thread",
+    "The global thread pool has not been initialized",
+];
+
+/// What shells add to a signal's number to name a process that it ended.
+const ENDED_BY_SIGNAL: i32 = 128;
+
+/// The number of SIGXFSZ, the same on Linux, macOS and the BSDs for x86 and ARM.
+const FILE_SIZE: i32 = 25;
+
+/// Levels of log lines that report no failure.
+const HARMLESS: [&str; 4] = ["WARN", "INFO", "DEBUG", "TRACE"];
+
+/// Start of the line that follows the message of a panic.
+const BACKTRACE: &str = "note: run with `RUST_BACKTRACE";
+
+/// Signal of `abort`, which follows an error message.
+const ABORTED: i32 = 6;
+
 /// Prepares the process for what the system may limit or stop.
 pub(crate) fn prepare() -> anyhow::Result<()> {
     report_limit();
     check_clock(SystemTime::now())?;
     survive_file_size_limit()
-}
-
-/// Refuses a time before 1970, which HTTP and TLS cannot express: their libraries panic.
-fn check_clock(now: SystemTime) -> anyhow::Result<()> {
-    let valid = now >= SystemTime::UNIX_EPOCH;
-    anyhow::ensure!(valid, "the clock of this machine is before 1970; set it");
-    Ok(())
 }
 
 /// Starts the threads for sockets, signals and child processes; stepping and training have their own.
@@ -43,38 +58,6 @@ pub(crate) fn runtime() -> anyhow::Result<Runtime> {
         .build()
         .context("cannot start the network threads")
 }
-
-/// The beginnings of the panics of libraries that cannot start a thread: of tokio, of the standard library and of rayon.
-const PANICS: [&str; 3] = [
-    "OS can't spawn worker thread",
-    "failed to spawn thread",
-    "The global thread pool has not been initialized",
-];
-
-/// Reports such a panic, the sign of a limit of processes and threads, in one line. In the main thread it ends the program with status 1.
-fn report_limit() {
-    let report = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        if !panic.payload_as_str().is_some_and(is_limit) {
-            return report(panic);
-        }
-        let advice = "raise the limit of processes and threads (`ulimit -u`, or the container's)";
-        output::error(format!("error: cannot start a thread; {advice}"));
-        if std::thread::current().name() == Some("main") {
-            std::process::exit(1);
-        }
-    }));
-}
-
-fn is_limit(panic: &str) -> bool {
-    PANICS.iter().any(|known| panic.starts_with(known))
-}
-
-/// What shells add to a signal's number to name a process that it ended.
-const ENDED_BY_SIGNAL: i32 = 128;
-
-/// The number of SIGXFSZ, the same on Linux, macOS and the BSDs for x86 and ARM.
-const FILE_SIZE: i32 = 25;
 
 /// Sets `stop` at the first signal, after `announce`; exits at the second. Call inside a runtime.
 pub(crate) fn stop_on_signal(
@@ -106,6 +89,67 @@ pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
     let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
     // No thread waits for it; it ends with the process.
     watcher.map(drop).context("cannot watch standard input")
+}
+
+/// The log that a process appends to, and its length when the process started.
+pub(crate) struct ProcessLog {
+    path: PathBuf,
+    from: u64,
+}
+
+impl ProcessLog {
+    /// Notes the length of the log before the process starts.
+    pub(crate) fn before_start(path: &Path) -> Self {
+        let from = path.metadata().map_or(0, |found| found.len());
+        Self { path: path.to_path_buf(), from }
+    }
+
+    /// The exit status, with the last error that the process reported. A process that a signal killed had no chance to
+    /// report its cause.
+    pub(crate) fn cause(&self, status: ExitStatus) -> String {
+        let killed = status.signal().is_some_and(|signal| signal != ABORTED);
+        match self.error().filter(|_| !killed) {
+            Some(error) => format!("{status}: {error}"),
+            None => status.to_string(),
+        }
+    }
+
+    /// The last line that is neither blank nor a log line of a harmless level.
+    fn error(&self) -> Option<String> {
+        let mut file = plain_file::reader(&self.path).ok()?;
+        file.seek(SeekFrom::Start(self.from)).ok()?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).ok()?;
+        let text = String::from_utf8_lossy(&bytes);
+        let is_error = |line: &&str| !line.trim().is_empty() && !is_harmless(line);
+        text.lines().rev().find(is_error).map(|line| line.trim().to_owned())
+    }
+}
+
+/// Refuses a time before 1970, which HTTP and TLS cannot express: their libraries panic.
+fn check_clock(now: SystemTime) -> anyhow::Result<()> {
+    let valid = now >= SystemTime::UNIX_EPOCH;
+    anyhow::ensure!(valid, "the clock of this machine is before 1970; set it");
+    Ok(())
+}
+
+/// Reports such a panic, the sign of a limit of processes and threads, in one line. In the main thread it ends the program with status 1.
+fn report_limit() {
+    let report = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !panic.payload_as_str().is_some_and(is_limit) {
+            return report(panic);
+        }
+        let advice = "raise the limit of processes and threads (`ulimit -u`, or the container's)";
+        output::error(format!("error: cannot start a thread; {advice}"));
+        if std::thread::current().name() == Some("main") {
+            std::process::exit(1);
+        }
+    }));
+}
+
+fn is_limit(panic: &str) -> bool {
+    PANICS.iter().any(|known| panic.starts_with(known))
 }
 
 /// Makes a write past a limit of file sizes (`ulimit -f`) an error, as on a full disk. By default SIGXFSZ ends the process.
@@ -190,50 +234,6 @@ fn is_ignored(kind: SignalKind) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask & (1 << (kind.as_raw_value() - 1)) != 0
-}
-
-/// Levels of log lines that report no failure.
-const HARMLESS: [&str; 4] = ["WARN", "INFO", "DEBUG", "TRACE"];
-
-/// Start of the line that follows the message of a panic.
-const BACKTRACE: &str = "note: run with `RUST_BACKTRACE";
-
-/// Signal of `abort`, which follows an error message.
-const ABORTED: i32 = 6;
-
-/// The log that a process appends to, and its length when the process started.
-pub(crate) struct ProcessLog {
-    path: PathBuf,
-    from: u64,
-}
-
-impl ProcessLog {
-    /// Notes the length of the log before the process starts.
-    pub(crate) fn before_start(path: &Path) -> Self {
-        let from = path.metadata().map_or(0, |found| found.len());
-        Self { path: path.to_path_buf(), from }
-    }
-
-    /// The exit status, with the last error that the process reported. A process that a signal killed had no chance to
-    /// report its cause.
-    pub(crate) fn cause(&self, status: ExitStatus) -> String {
-        let killed = status.signal().is_some_and(|signal| signal != ABORTED);
-        match self.error().filter(|_| !killed) {
-            Some(error) => format!("{status}: {error}"),
-            None => status.to_string(),
-        }
-    }
-
-    /// The last line that is neither blank nor a log line of a harmless level.
-    fn error(&self) -> Option<String> {
-        let mut file = plain_file::reader(&self.path).ok()?;
-        file.seek(SeekFrom::Start(self.from)).ok()?;
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes).ok()?;
-        let text = String::from_utf8_lossy(&bytes);
-        let is_error = |line: &&str| !line.trim().is_empty() && !is_harmless(line);
-        text.lines().rev().find(is_error).map(|line| line.trim().to_owned())
-    }
 }
 
 /// Whether a line is a log line, `TIME LEVEL MESSAGE`, of a level that reports no failure, or the advice after a panic.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{CONFIG, LOGS, RunFolder};
 use recording::trajectory_log::{
     self, LogError, ReadShares, Replayed, is_log_name, read_bytes, read_shares,
 };
@@ -127,8 +127,8 @@ fn size(path: &Path) -> u64 {
 /// The logs of a folder; for a run folder, those of the run.
 fn in_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let run = RunFolder::of(folder);
-    let logs = run_path::logs(&run);
-    let is_run = run_path::config_file(&run).is_file() && logs.is_dir();
+    let logs = run.join(LOGS);
+    let is_run = run.join(CONFIG).is_file() && logs.is_dir();
     let folder = if is_run { &logs } else { folder };
     let paths = run_path::files(folder, is_log_name);
     let paths = paths.with_context(|| format!("cannot read {}", folder.display()))?;

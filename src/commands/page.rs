@@ -9,7 +9,7 @@ use clap::Args;
 use learner::observe::metrics::Curves;
 use learner::serve::page::{OverlaidRun, Overlay};
 use learner::store::json_lines::JsonLinesReader;
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{METRICS, RunFolder};
 
 use crate::endpoints::PageAccess;
 use crate::figures::learning_curve;
@@ -79,7 +79,7 @@ struct FollowedRun {
 
 impl FollowedRun {
     fn new(folder: &Path, name: String, group: Result<String, String>) -> Self {
-        let metrics = JsonLinesReader::of(run_path::metrics_file(folder));
+        let metrics = JsonLinesReader::of(folder.join(METRICS));
         Self { name, group, metrics, curves: Arc::default(), damaged: 0, error: None }
     }
 

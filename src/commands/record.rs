@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{LOGS, RunFolder};
 use recording::{RecordError, RecordSummary, RecordedRun};
 use rollout::EvaluationEpisode;
 
@@ -79,7 +79,7 @@ fn target(arguments: &RecordArguments, iteration: u64) -> anyhow::Result<Target>
     if let Some(path) = &arguments.out {
         return Ok(Target::named("--out", path, "mcap", arguments.force.existing())?);
     }
-    let logs = run_path::logs(&run_path::folder_of(&arguments.run, "--out")?);
+    let logs = run_path::folder_of(&arguments.run, "--out")?.join(LOGS);
     target::folder(&logs)?;
     Target::fixed(&logs.join(format!("iter_{iteration:08}.mcap")))
 }

@@ -16,6 +16,12 @@ use crate::film::{self, RobotShapes, TimedPose};
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, shell, target};
 
+/// Seed of the random actions.
+const SEED: RunSeed = RunSeed(0);
+
+/// Pictures of a film.
+const FRAMES: usize = 8;
+
 /// `s2mia tasks`
 #[derive(Args, Debug)]
 pub(crate) struct TasksArguments {
@@ -54,31 +60,6 @@ pub(super) fn list(arguments: &TasksArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
-    let config = RunConfig::with(&[task])?;
-    sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
-}
-
-/// The file of a task's picture.
-fn picture(folder: &Path, task: &EnvironmentSpec) -> PathBuf {
-    folder.join(format!("{}.png", task.task))
-}
-
-/// Draws one picture and prints the names of its numbered joints; a game has no picture.
-fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
-    let Some(robot) = RobotShapes::of(world) else { return Ok(()) };
-    let joints = film::distinct_joints(world)?;
-    let task = world.description();
-    let pose = world.pose(0);
-    let path = picture(folder, task);
-    target::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
-    let names = task.agents.iter().flat_map(|agent| &agent.joints);
-    let numbers: Vec<String> =
-        (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();
-    output::line(format!("{}: {}", path.display(), numbers.join(", ")));
-    Ok(())
-}
-
 /// Agents and sizes of a task.
 pub(super) fn as_table(task: &EnvironmentSpec) -> String {
     let mut text = format!(
@@ -100,33 +81,6 @@ pub(super) fn as_table(task: &EnvironmentSpec) -> String {
         text += &format!("  {name:<8} observation {observation:>3}, {action}\n");
     }
     text
-}
-
-fn as_json(task: &EnvironmentSpec) -> serde_json::Value {
-    let agents: Vec<serde_json::Value> = task
-        .agents
-        .iter()
-        .map(|agent| {
-            json!({
-                "name": agent.name,
-                "joints": agent.joints,
-                "observation": agent.observation.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(),
-                "action": {
-                    "size": agent.action.size,
-                    "low": agent.action.low,
-                    "high": agent.action.high,
-                    "choices": agent.action.choices,
-                },
-            })
-        })
-        .collect();
-    json!({
-        "task": task.task,
-        "dt_secs": task.dt_secs,
-        "episode_steps": task.episode_steps,
-        "state": task.state.iter().map(|feature| feature.name.as_str()).collect::<Vec<_>>(),
-        "agents": agents,
-    })
 }
 
 /// `s2mia task`
@@ -166,17 +120,64 @@ pub(crate) struct TaskNewArguments {
     pub(crate) force: ForceArguments,
 }
 
-/// Seed of the random actions.
-const SEED: RunSeed = RunSeed(0);
-/// Pictures of a film.
-const FRAMES: usize = 8;
-
 /// Runs one of the commands.
 pub(super) fn run(command: &TaskCommand) -> anyhow::Result<()> {
     match command {
         TaskCommand::Check(arguments) => check(arguments),
         TaskCommand::New(arguments) => new(arguments),
     }
+}
+
+fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
+    let config = RunConfig::with(&[task])?;
+    sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
+}
+
+/// The file of a task's picture.
+fn picture(folder: &Path, task: &EnvironmentSpec) -> PathBuf {
+    folder.join(format!("{}.png", task.task))
+}
+
+/// Draws one picture and prints the names of its numbered joints; a game has no picture.
+fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
+    let Some(robot) = RobotShapes::of(world) else { return Ok(()) };
+    let joints = film::distinct_joints(world)?;
+    let task = world.description();
+    let pose = world.pose(0);
+    let path = picture(folder, task);
+    target::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
+    let names = task.agents.iter().flat_map(|agent| &agent.joints);
+    let numbers: Vec<String> =
+        (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();
+    output::line(format!("{}: {}", path.display(), numbers.join(", ")));
+    Ok(())
+}
+
+fn as_json(task: &EnvironmentSpec) -> serde_json::Value {
+    let agents: Vec<serde_json::Value> = task
+        .agents
+        .iter()
+        .map(|agent| {
+            json!({
+                "name": agent.name,
+                "joints": agent.joints,
+                "observation": agent.observation.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(),
+                "action": {
+                    "size": agent.action.size,
+                    "low": agent.action.low,
+                    "high": agent.action.high,
+                    "choices": agent.action.choices,
+                },
+            })
+        })
+        .collect();
+    json!({
+        "task": task.task,
+        "dt_secs": task.dt_secs,
+        "episode_steps": task.episode_steps,
+        "state": task.state.iter().map(|feature| feature.name.as_str()).collect::<Vec<_>>(),
+        "agents": agents,
+    })
 }
 
 /// Writes the example.

@@ -9,6 +9,7 @@ use clap::Args;
 use learner::error::LearnerError;
 use learner::observe::event::Summary;
 use learner::serve::listener::Listener;
+use learner::store::run_folder::{CONFIG, LOGS, METRICS};
 use proto::Episodes;
 use recording::trajectory_log::{is_log_name, totals};
 use security::Token;
@@ -97,11 +98,11 @@ async fn train(
     end.send_replace(true);
     let failure = actors.await.context("the supervisor of the actors failed")?;
     if config.log.episodes != Episodes::None {
-        output::line(logged(&run_path::logs(&folder)));
+        output::line(logged(&folder.join(LOGS)));
     }
     let summary = ended_well(summary, failure)?;
     let length = if config.resolved.depends_on_length() { Length::Fixed } else { Length::MayRise };
-    let points = learning_curve::evaluations(&run_path::metrics_file(&folder))?;
+    let points = learning_curve::evaluations(&folder.join(METRICS))?;
     let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
     output::line(closing.text(&points));
     Ok(())
@@ -125,7 +126,7 @@ fn processes(
     listener: &TcpListener,
     token: Token,
 ) -> anyhow::Result<ActorProcesses> {
-    let logs = run_path::logs(folder);
+    let logs = folder.join(LOGS);
     learner::store::durable::make_folder(&logs)?;
     Ok(ActorProcesses {
         program: std::env::current_exe().context("cannot find this program")?,
@@ -205,7 +206,7 @@ impl Closing<'_> {
             (true, _) => format!("--resume {run}"),
             (false, Length::MayRise) => format!("--resume {run} {twice}"),
             (false, Length::Fixed) => {
-                let config = shell::path(&run_path::config_file(self.folder));
+                let config = shell::path(&self.folder.join(CONFIG));
                 // Of `a/` and `.` the folder beside it, not one in it.
                 let run = match self.folder.file_name() {
                     Some(_) => self.folder.to_path_buf(),

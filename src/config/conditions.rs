@@ -60,7 +60,7 @@ impl Condition {
     }
 
     /// Whether it holds; `None` if the environment is not known.
-    pub(super) fn holds(self, run: &Run<'_>) -> Option<bool> {
+    pub(super) fn holds(self, run: &RunContext<'_>) -> Option<bool> {
         let resolved = run.resolved;
         let number = |key| match resolved.entries.get(key).map(|entry| &entry.value) {
             Some(Value::Integer(number)) => *number as f64,
@@ -97,7 +97,7 @@ impl fmt::Display for Condition {
 }
 
 /// The settings of a run and what is known of its environment.
-pub(super) struct Run<'a> {
+pub(super) struct RunContext<'a> {
     /// All settings.
     pub(super) resolved: &'a Resolved,
     task: &'a TaskConfig,
@@ -107,7 +107,7 @@ pub(super) struct Run<'a> {
     simulated: OnceCell<Option<(EnvironmentSpec, bool)>>,
 }
 
-impl<'a> Run<'a> {
+impl<'a> RunContext<'a> {
     /// The run of `config` in the environment `offered`, or in one that is not known yet.
     pub(super) fn of(config: &'a RunConfig, offered: Option<&'a EnvironmentSpec>) -> Self {
         Self { resolved: &config.resolved, task: &config.task, offered, simulated: OnceCell::new() }

@@ -4,7 +4,7 @@
 use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
-use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, Run, SURPRISE};
+use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SURPRISE};
 use super::resolved::{ConfigError, Resolved};
 use super::run_config::RunConfig;
 
@@ -84,7 +84,7 @@ const TABLE: &[(&[&str], &[Condition])] = &[
 
 /// The conditions that `key` lacks for an effect; empty if it has one. What is not known of the environment is assumed to
 /// hold.
-fn lacking(run: &Run<'_>, key: &str) -> Vec<Condition> {
+fn lacking(run: &RunContext<'_>, key: &str) -> Vec<Condition> {
     let conditions = TABLE.iter().find(|(keys, _)| keys.contains(&key)).map(|(_, needed)| *needed);
     let fails = |condition: &Condition| condition.holds(run) == Some(false);
     conditions.unwrap_or_default().iter().copied().filter(fails).collect()
@@ -103,7 +103,7 @@ fn instead(lacking: &[Condition], resolved: &Resolved) -> String {
 }
 
 /// Refuses the first setting that the user gave and that has no effect in the run.
-pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
+pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let resolved = run.resolved;
     let mut given = resolved.given.keys().map(|key| (key, lacking(run, key)));
     let Some((key, lacking)) = given.find(|(_, lacking)| !lacking.is_empty()) else {
@@ -118,7 +118,7 @@ pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
 
 /// Remarks on settings without an effect, for the comments of a configuration; empty for other settings.
 pub(crate) fn remarks(config: &RunConfig) -> impl Fn(&str) -> String {
-    let run = Run::of(config, None);
+    let run = RunContext::of(config, None);
     move |key| match lacking(&run, key).as_slice() {
         [] => String::new(),
         lacking => format!("; no effect: it needs {}", listed(lacking)),

@@ -30,15 +30,6 @@ const OPERATIONAL: &[&str] = &[
     "log.",
 ];
 
-/// The settings that have no effect because `key` has this `value`, which is the purpose of the value.
-pub(super) fn switched_off(key: &str, value: &Value) -> &'static [&'static str] {
-    match (key, *value == Value::Integer(0)) {
-        ("run.iterations", false) => &["run.env_steps"],
-        ("evaluation.every_steps", true) => &["evaluation.episodes", "evaluation.sampled"],
-        _ => &[],
-    }
-}
-
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";
 
@@ -47,6 +38,18 @@ pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 
 /// The setting and its value with which the length of a run changes every step.
 pub(crate) const DEPENDS_ON_LENGTH: (&str, &str) = ("update.learning_rate_decay", "linear");
+
+/// Whole numbers up to this size are exact as `f64`.
+const EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
+
+/// The settings that have no effect because `key` has this `value`, which is the purpose of the value.
+pub(super) fn switched_off(key: &str, value: &Value) -> &'static [&'static str] {
+    match (key, *value == Value::Integer(0)) {
+        ("run.iterations", false) => &["run.env_steps"],
+        ("evaluation.every_steps", true) => &["evaluation.episodes", "evaluation.sampled"],
+        _ => &[],
+    }
+}
 
 /// The operational keys and sections that a resume may change, for messages. The run folder cannot change.
 pub(crate) fn free_on_resume() -> String {
@@ -85,18 +88,6 @@ pub(crate) fn nearest<'a>(
     nearest_by(word, candidates, distance_to_key)
 }
 
-/// Edit distance; a word without its section is also compared with the last part of the key.
-fn distance_to_key(word: &str, key: &str) -> usize {
-    let whole = osa_distance(word, key);
-    match key.rsplit_once('.') {
-        Some((_, last)) if !word.contains('.') => whole.min(osa_distance(word, last)),
-        _ => whole,
-    }
-}
-
-/// Whole numbers up to this size are exact as `f64`.
-const EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
-
 /// The kind of value that can replace this default, for messages.
 pub(super) fn kind(default: &Value) -> &'static str {
     match default {
@@ -128,6 +119,15 @@ pub(super) fn parsed(text: &str, default: &Value) -> Option<Value> {
         (Some(quoted @ Value::String(_)), Value::String(_)) => Some(quoted),
         (_, Value::String(_)) => Some(Value::from(text)),
         (written, _) => fitted(written?, default),
+    }
+}
+
+/// Edit distance; a word without its section is also compared with the last part of the key.
+fn distance_to_key(word: &str, key: &str) -> usize {
+    let whole = osa_distance(word, key);
+    match key.rsplit_once('.') {
+        Some((_, last)) if !word.contains('.') => whole.min(osa_distance(word, last)),
+        _ => whole,
     }
 }
 

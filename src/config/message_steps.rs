@@ -13,8 +13,10 @@ use crate::config::{ConfigError, keys};
 
 /// Steps of a message.
 pub(crate) const MESSAGE: &str = "environments.message_steps";
+
 /// Steps of an iteration, which messages divide.
 pub(crate) const SLOT: &str = "environments.steps";
+
 /// Steps of a sequence, which divide a message.
 pub(crate) const WINDOW: &str = "policy.backpropagation_steps";
 
@@ -41,6 +43,31 @@ pub(super) fn followed(mut resolved: Resolved) -> Resolved {
         .find(|steps| fits(*steps));
     set(&mut resolved, fewer.unwrap_or(if fits(window) { window } else { slot }));
     resolved
+}
+
+/// Lowers the steps of a message until one fits, unless the user gave them.
+///
+/// Refuses settings with which no message fits.
+pub(crate) fn fit(config: &mut RunConfig, launch: &mut Launch) -> Result<(), ConfigError> {
+    let environments = &config.learner.environments;
+    let now = Sizes::of(config);
+    let run = launch.smallest_description();
+    if fits(&run, now) {
+        return Ok(());
+    }
+    let fitting = largest(&run, now, (environments.count, environments.steps));
+    let alone = |sizes: Sizes| sizes == Sizes { message: sizes.message, ..now };
+    match fitting {
+        Some(sizes) if alone(sizes) && !config.resolved.is_given(MESSAGE) => {
+            set(&mut config.resolved, sizes.message as u64);
+            config.learner.environments.message_steps = sizes.message;
+            launch.config = config.learner.clone();
+            launch.config_toml = config.resolved.to_toml();
+            launch.config_sha256 = Digest(config.resolved.sha256());
+            Ok(())
+        }
+        fitting => Err(refused(config, &run, (now, fitting))),
+    }
 }
 
 /// Sets the steps of a message.
@@ -70,31 +97,6 @@ impl Sizes {
             message: environments.message_steps,
             window: config.policy.backpropagation_steps,
         }
-    }
-}
-
-/// Lowers the steps of a message until one fits, unless the user gave them.
-///
-/// Refuses settings with which no message fits.
-pub(crate) fn fit(config: &mut RunConfig, launch: &mut Launch) -> Result<(), ConfigError> {
-    let environments = &config.learner.environments;
-    let now = Sizes::of(config);
-    let run = launch.smallest_description();
-    if fits(&run, now) {
-        return Ok(());
-    }
-    let fitting = largest(&run, now, (environments.count, environments.steps));
-    let alone = |sizes: Sizes| sizes == Sizes { message: sizes.message, ..now };
-    match fitting {
-        Some(sizes) if alone(sizes) && !config.resolved.is_given(MESSAGE) => {
-            set(&mut config.resolved, sizes.message as u64);
-            config.learner.environments.message_steps = sizes.message;
-            launch.config = config.learner.clone();
-            launch.config_toml = config.resolved.to_toml();
-            launch.config_sha256 = Digest(config.resolved.sha256());
-            Ok(())
-        }
-        fitting => Err(refused(config, &run, (now, fitting))),
     }
 }
 

@@ -12,6 +12,20 @@ use toml::Value;
 use super::keys;
 use super::layers::{SettingsLayer, Source};
 
+/// Folders of the program's files, each with the setting that chooses one of them.
+const CHOICES: [(&str, &str); 3] = [
+    ("configs/tasks/", "task"),
+    ("configs/presets/", "preset"),
+    ("configs/algorithms/", "algorithm"),
+];
+
+/// Serde's names of number types and the words for users.
+const NUMBERS: [(&str, &str); 3] = [
+    ("expected u32", "expected a whole number from 0 to 4294967295"),
+    ("expected u64", "expected a whole number from 0"),
+    ("expected usize", "expected a whole number from 0"),
+];
+
 /// A value and the layer that set it last.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Entry {
@@ -172,14 +186,6 @@ impl Resolved {
     }
 }
 
-fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
-    push_text(text, &format!("{name} = {}{comment}\n", entry.value));
-}
-
-fn push_text(text: &mut String, more: &str) {
-    text.write_str(more).expect("writing to a string cannot fail");
-}
-
 /// A configuration that cannot be used. Each message is one line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ConfigError {
@@ -279,13 +285,6 @@ pub(crate) enum ConfigError {
     },
 }
 
-/// Folders of the program's files, each with the setting that chooses one of them.
-const CHOICES: [(&str, &str); 3] = [
-    ("configs/tasks/", "task"),
-    ("configs/presets/", "preset"),
-    ("configs/algorithms/", "algorithm"),
-];
-
 impl ConfigError {
     /// The error `detail` about `keys`, with the place of the first of them that the user gave, or whose file the user chose;
     /// with that of the first if there is none. The error begins with the first key.
@@ -311,25 +310,6 @@ impl ConfigError {
     }
 }
 
-/// The setting with which the user chose the file of the program that sets `key`.
-fn choice(resolved: &Resolved, key: &str) -> Option<&'static str> {
-    let origin = resolved.origin(key);
-    let (_, choice) = CHOICES.iter().find(|(folder, _)| origin.starts_with(folder))?;
-    resolved.is_given(choice).then_some(*choice)
-}
-
-/// Serde's names of number types and the words for users.
-const NUMBERS: [(&str, &str); 3] = [
-    ("expected u32", "expected a whole number from 0 to 4294967295"),
-    ("expected u64", "expected a whole number from 0"),
-    ("expected usize", "expected a whole number from 0"),
-];
-
-/// Adds the key to messages that lack it: crates name the key in an error of range, serde does not name it.
-fn named(key: &str, detail: &str) -> String {
-    if detail.contains(key) { detail.to_owned() } else { format!("`{key}`: {detail}") }
-}
-
 /// The line of `text` at which a parser failed, and its message in one line.
 pub(crate) fn line_and_message(text: &str, error: &toml::de::Error) -> (usize, String) {
     let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
@@ -341,6 +321,26 @@ pub(super) fn in_words(message: &str) -> String {
     let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
     let replaced = |text: String, (rust, words): (&str, &str)| text.replace(rust, words);
     NUMBERS.into_iter().fold(line, replaced)
+}
+
+fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
+    push_text(text, &format!("{name} = {}{comment}\n", entry.value));
+}
+
+fn push_text(text: &mut String, more: &str) {
+    text.write_str(more).expect("writing to a string cannot fail");
+}
+
+/// The setting with which the user chose the file of the program that sets `key`.
+fn choice(resolved: &Resolved, key: &str) -> Option<&'static str> {
+    let origin = resolved.origin(key);
+    let (_, choice) = CHOICES.iter().find(|(folder, _)| origin.starts_with(folder))?;
+    resolved.is_given(choice).then_some(*choice)
+}
+
+/// Adds the key to messages that lack it: crates name the key in an error of range, serde does not name it.
+fn named(key: &str, detail: &str) -> String {
+    if detail.contains(key) { detail.to_owned() } else { format!("`{key}`: {detail}") }
 }
 
 fn suggestion(nearest: Option<&str>) -> String {

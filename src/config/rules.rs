@@ -7,7 +7,7 @@ use marl::config::{QTraining, Sharing};
 use policy::setting::{SettingError, multiple, within};
 use proto::EnvironmentSpec;
 
-use super::conditions::{Condition, INFLUENCE, MADDPG, Property, Run};
+use super::conditions::{Condition, INFLUENCE, MADDPG, Property, RunContext};
 use super::message_steps::{MESSAGE, SLOT, WINDOW};
 use super::resolved::ConfigError;
 use super::run_config::RunConfig;
@@ -91,14 +91,14 @@ const TABLE: &[Rule] = &[
 ];
 
 impl Rule {
-    fn is_broken(&self, run: &Run<'_>) -> bool {
+    fn is_broken(&self, run: &RunContext<'_>) -> bool {
         let mut conditions = [self.refused].into_iter().chain(self.with.iter().copied());
         conditions.all(|condition| condition.holds(run) == Some(true))
     }
 }
 
 /// Refuses the first value that does not go with others, or with the environment as far as it is known.
-pub(super) fn demand(run: &Run<'_>) -> Result<(), ConfigError> {
+pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let Some(rule) = TABLE.iter().find(|rule| rule.is_broken(run)) else { return Ok(()) };
     let conditions = [rule.refused].into_iter().chain(rule.with.iter().copied());
     let keys: Vec<&str> = conditions.filter_map(Condition::setting).collect();

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sim::{ObservationNorm, TaskDefinition};
 
-use super::conditions::Run;
+use super::conditions::RunContext;
 use super::layers::{self, Request};
 use super::resolved::{ConfigError, Resolved, in_words};
 use super::{effect, message_steps, own_task, rules};
@@ -161,7 +161,7 @@ impl RunConfig {
         &self,
         offered: Option<&EnvironmentSpec>,
     ) -> Result<(), ConfigError> {
-        let run = Run::of(self, offered);
+        let run = RunContext::of(self, offered);
         rules::demand(&run)?;
         if let Some(environment) = offered {
             rules::demand_equal_agents(self, environment)?;

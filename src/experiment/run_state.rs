@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use learner::store::json_lines;
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{METRICS, RunFolder};
 use serde_json::Value;
 
 use super::file::ExperimentFile;
@@ -13,9 +13,9 @@ use super::record::Record;
 use super::{PlannedRun, report};
 use crate::errors::Usage;
 use crate::figures::chart;
+use crate::run::resume;
 use crate::run::run_path::{Others, demand_outside_runs};
 use crate::run::stored::config_of_run;
-use crate::run::{resume, run_path};
 
 /// Number of bytes that contains the last lines of a `metrics.jsonl`.
 const TAIL_BYTES: u64 = 64 << 10;
@@ -63,7 +63,7 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunFolderState {
     if !RunFolder::holds_run(&run.folder) {
         return RunFolderState::New;
     }
-    let last = last_lines(&run_path::metrics_file(&run.folder));
+    let last = last_lines(&run.folder.join(METRICS));
     let finished =
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
     if last.iter().any(finished) {
@@ -101,20 +101,6 @@ pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> S
     format!("{lines}{} runs, {} steps, {at_once} at once", runs.len(), chart::thousands(total))
 }
 
-fn shown(run: &PlannedRun, record: &Record) -> String {
-    if record.holds(run) {
-        return "recorded".to_owned();
-    }
-    match (mismatch(run), run_state(run)) {
-        (Some(why), _) => why,
-        (None, RunFolderState::New) => "new".to_owned(),
-        (None, RunFolderState::Begun { env_steps }) => {
-            format!("at {}", chart::thousands(env_steps))
-        }
-        (None, RunFolderState::Finished) => "finished".to_owned(),
-    }
-}
-
 /// The last lines of a file of JSON lines; none if it cannot be read.
 pub(super) fn last_lines(path: &Path) -> Vec<Value> {
     json_lines::last_lines(path, TAIL_BYTES).unwrap_or_default()
@@ -145,6 +131,20 @@ pub(crate) fn check_folder(
         ))
         .into()),
         _ => Ok(()),
+    }
+}
+
+fn shown(run: &PlannedRun, record: &Record) -> String {
+    if record.holds(run) {
+        return "recorded".to_owned();
+    }
+    match (mismatch(run), run_state(run)) {
+        (Some(why), _) => why,
+        (None, RunFolderState::New) => "new".to_owned(),
+        (None, RunFolderState::Begun { env_steps }) => {
+            format!("at {}", chart::thousands(env_steps))
+        }
+        (None, RunFolderState::Finished) => "finished".to_owned(),
     }
 }
 

@@ -22,6 +22,12 @@ use crate::progress::Screen;
 /// Poll interval for the progress of runs and for a locked log.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
+/// Time between two plain lines.
+const LINE_PERIOD: Duration = Duration::from_secs(30);
+
+/// Layout of the bar.
+const BAR: &str = "{bar:40.cyan/black} {percent} %\n{wide_msg}";
+
 /// Numbers of runs by how they ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
@@ -66,6 +72,70 @@ pub(crate) async fn run_all(
             }
             () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),
         }
+    }
+}
+
+/// Shows how far an experiment is.
+pub(crate) struct ExperimentProgress {
+    begin: Instant,
+    /// How far each run was when last looked at; a finished one needs no other look.
+    known: Vec<RunFolderState>,
+    /// Environment steps that were done before.
+    steps_before: u64,
+    screen: Screen,
+}
+
+impl ExperimentProgress {
+    /// Before the first run starts.
+    pub(crate) fn new(runs: &[PlannedRun]) -> Self {
+        let begin = Instant::now();
+        let known: Vec<RunFolderState> = runs.iter().map(run_state).collect();
+        let (done, total) = steps(runs, &known);
+        let mut screen = Screen::new(total, BAR, LINE_PERIOD);
+        // The first plain line follows after one period.
+        screen.is_due(begin);
+        Self { begin, known, steps_before: done, screen }
+    }
+
+    /// Shows how far `runs` are, of which `going` are at work.
+    pub(crate) fn show(&mut self, runs: &[PlannedRun], going: usize) {
+        let now = Instant::now();
+        if !self.screen.is_due(now) {
+            return;
+        }
+        for (known, run) in self.known.iter_mut().zip(runs) {
+            if *known != RunFolderState::Finished {
+                *known = run_state(run);
+            }
+        }
+        let (env_steps, total) = steps(runs, &self.known);
+        let figures = Figures {
+            finished: self.known.iter().filter(|known| **known == RunFolderState::Finished).count(),
+            runs: runs.len(),
+            going,
+            env_steps,
+            total,
+            done: env_steps.saturating_sub(self.steps_before),
+            secs: now.duration_since(self.begin).as_secs_f64(),
+        };
+        match &self.screen {
+            Screen::Bar(bar) => {
+                bar.set_position(env_steps);
+                bar.set_message(figures.words());
+            }
+            Screen::Lines(..) => output::line(figures.words()),
+        }
+    }
+
+    /// Tells how a run ended.
+    pub(crate) fn ended(&self, run: &PlannedRun, ending: &Ending) {
+        let line = match ending {
+            Ending::Finished => format!("{} is finished", run.name()),
+            Ending::Stopped => format!("{} stopped; it can be resumed", run.name()),
+            Ending::Failed(why) => format!("{} failed: {why}", run.name()),
+            Ending::Misplaced(why) => format!("{} cannot begin: {why}", run.name()),
+        };
+        self.screen.line(&line);
     }
 }
 
@@ -161,22 +231,6 @@ fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     started.with_context(|| format!("cannot start {}", program.display()))
 }
 
-/// Time between two plain lines.
-const LINE_PERIOD: Duration = Duration::from_secs(30);
-
-/// Layout of the bar.
-const BAR: &str = "{bar:40.cyan/black} {percent} %\n{wide_msg}";
-
-/// Shows how far an experiment is.
-pub(crate) struct ExperimentProgress {
-    begin: Instant,
-    /// How far each run was when last looked at; a finished one needs no other look.
-    known: Vec<RunFolderState>,
-    /// Environment steps that were done before.
-    steps_before: u64,
-    screen: Screen,
-}
-
 /// How far an experiment is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Figures {
@@ -188,60 +242,6 @@ struct Figures {
     /// Environment steps done since this process began, and how long that took.
     done: u64,
     secs: f64,
-}
-
-impl ExperimentProgress {
-    /// Before the first run starts.
-    pub(crate) fn new(runs: &[PlannedRun]) -> Self {
-        let begin = Instant::now();
-        let known: Vec<RunFolderState> = runs.iter().map(run_state).collect();
-        let (done, total) = steps(runs, &known);
-        let mut screen = Screen::new(total, BAR, LINE_PERIOD);
-        // The first plain line follows after one period.
-        screen.is_due(begin);
-        Self { begin, known, steps_before: done, screen }
-    }
-
-    /// Shows how far `runs` are, of which `going` are at work.
-    pub(crate) fn show(&mut self, runs: &[PlannedRun], going: usize) {
-        let now = Instant::now();
-        if !self.screen.is_due(now) {
-            return;
-        }
-        for (known, run) in self.known.iter_mut().zip(runs) {
-            if *known != RunFolderState::Finished {
-                *known = run_state(run);
-            }
-        }
-        let (env_steps, total) = steps(runs, &self.known);
-        let figures = Figures {
-            finished: self.known.iter().filter(|known| **known == RunFolderState::Finished).count(),
-            runs: runs.len(),
-            going,
-            env_steps,
-            total,
-            done: env_steps.saturating_sub(self.steps_before),
-            secs: now.duration_since(self.begin).as_secs_f64(),
-        };
-        match &self.screen {
-            Screen::Bar(bar) => {
-                bar.set_position(env_steps);
-                bar.set_message(figures.words());
-            }
-            Screen::Lines(..) => output::line(figures.words()),
-        }
-    }
-
-    /// Tells how a run ended.
-    pub(crate) fn ended(&self, run: &PlannedRun, ending: &Ending) {
-        let line = match ending {
-            Ending::Finished => format!("{} is finished", run.name()),
-            Ending::Stopped => format!("{} stopped; it can be resumed", run.name()),
-            Ending::Failed(why) => format!("{} failed: {why}", run.name()),
-            Ending::Misplaced(why) => format!("{} cannot begin: {why}", run.name()),
-        };
-        self.screen.line(&line);
-    }
 }
 
 impl Figures {

@@ -16,6 +16,15 @@ const MEMORY_GIB: usize = 4;
 /// Longest name of a job, because Kubernetes adds an index to it and allows 63 letters.
 const NAME_CHARS: usize = 50;
 
+/// The script of each job.
+const SLURM_SCRIPT: &str = include_str!("submit/slurm.sh");
+
+/// Name of the script in the experiment's folder.
+pub(crate) const SLURM_SCRIPT_NAME: &str = "slurm.sh";
+
+/// All documents.
+const K8S_MANIFEST: &str = include_str!("submit/k8s.yaml");
+
 /// What the user chose, for any engine.
 #[derive(Clone, Debug)]
 pub(crate) struct Jobs {
@@ -33,41 +42,6 @@ impl Jobs {
         self.runs.div_ceil(self.runs_per_job)
     }
 }
-
-/// Cores of one job, which computes one run at a time: actors and learner threads work alternately.
-fn cores(file: &ExperimentFile) -> usize {
-    file.actors.max(file.threads)
-}
-
-/// Name of the job: lowercase letters, digits and `-`.
-fn name(file: &ExperimentFile) -> String {
-    let stem = file.path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
-    let plain = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '-' };
-    let name: String = format!("s2mia-{stem}").chars().map(plain).take(NAME_CHARS).collect();
-    name.trim_end_matches('-').to_owned()
-}
-
-/// Refuses a value that would not remain one word of a script or of YAML.
-fn word<'a>(option: &str, value: &'a str) -> Result<&'a str, Usage> {
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.,:/@+".contains(letter);
-    if value.is_empty() || !value.chars().all(plain) {
-        let why = format!("{option} {value}: use only letters, digits and - _ . , : / @ +");
-        return Err(Usage::new(why));
-    }
-    Ok(value)
-}
-
-/// Replaces each `@KEY@` by its value.
-fn filled(template: &str, values: &[(&str, &str)]) -> String {
-    let put = |text: String, (key, value): &(&str, &str)| text.replace(&format!("@{key}@"), value);
-    values.iter().fold(template.to_owned(), put)
-}
-
-/// The script of each job.
-const SLURM_SCRIPT: &str = include_str!("submit/slurm.sh");
-
-/// Name of the script in the experiment's folder.
-pub(crate) const SLURM_SCRIPT_NAME: &str = "slurm.sh";
 
 /// Options that the script passes to Slurm.
 #[derive(Clone, Copy, Debug, Default)]
@@ -140,17 +114,6 @@ pub(crate) fn submit_to_slurm(script: &Path) -> anyhow::Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// One word of a shell, and of a line that Slurm reads.
-fn quoted(path: &str) -> Result<String, Usage> {
-    if path.contains('\n') {
-        return Err(Usage::new(format!("a script cannot name a path with a line break: {path:?}")));
-    }
-    Ok(format!("'{}'", path.replace('\'', r"'\''")))
-}
-
-/// All documents.
-const K8S_MANIFEST: &str = include_str!("submit/k8s.yaml");
-
 /// The manifest for `kubectl apply`.
 ///
 /// # Errors
@@ -195,6 +158,43 @@ pub(crate) fn k8s_manifest(
             ("TEXT", &text.join("\n")),
         ],
     ))
+}
+
+/// Cores of one job, which computes one run at a time: actors and learner threads work alternately.
+fn cores(file: &ExperimentFile) -> usize {
+    file.actors.max(file.threads)
+}
+
+/// Name of the job: lowercase letters, digits and `-`.
+fn name(file: &ExperimentFile) -> String {
+    let stem = file.path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let plain = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '-' };
+    let name: String = format!("s2mia-{stem}").chars().map(plain).take(NAME_CHARS).collect();
+    name.trim_end_matches('-').to_owned()
+}
+
+/// Refuses a value that would not remain one word of a script or of YAML.
+fn word<'a>(option: &str, value: &'a str) -> Result<&'a str, Usage> {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.,:/@+".contains(letter);
+    if value.is_empty() || !value.chars().all(plain) {
+        let why = format!("{option} {value}: use only letters, digits and - _ . , : / @ +");
+        return Err(Usage::new(why));
+    }
+    Ok(value)
+}
+
+/// Replaces each `@KEY@` by its value.
+fn filled(template: &str, values: &[(&str, &str)]) -> String {
+    let put = |text: String, (key, value): &(&str, &str)| text.replace(&format!("@{key}@"), value);
+    values.iter().fold(template.to_owned(), put)
+}
+
+/// One word of a shell, and of a line that Slurm reads.
+fn quoted(path: &str) -> Result<String, Usage> {
+    if path.contains('\n') {
+        return Err(Usage::new(format!("a script cannot name a path with a line break: {path:?}")));
+    }
+    Ok(format!("'{}'", path.replace('\'', r"'\''")))
 }
 
 /// Refuses a name that no key of a ConfigMap can have.

@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use kuva::render::layout::TickFormat;
 use learner::store::json_lines::JsonLinesReader;
 use learner::store::plain_file;
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{CONFIG, METRICS, RunFolder};
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
@@ -17,7 +17,7 @@ use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
-use crate::run::run_path::{self, demand_run};
+use crate::run::run_path::demand_run;
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
 const MOST_POINTS: usize = 100;
@@ -153,14 +153,14 @@ pub(crate) struct Panel {
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     let folder = &RunFolder::of(folder);
     demand_run(folder)?;
-    let lines = lines(&run_path::metrics_file(folder))?;
+    let lines = lines(&folder.join(METRICS))?;
     let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
     Ok(Curve { points, ..without_points(folder)? })
 }
 
 /// Reads the settings of a run folder, without its curves.
 pub(crate) fn without_points(folder: &Path) -> anyhow::Result<Curve> {
-    let file = run_path::config_file(folder);
+    let file = folder.join(CONFIG);
     plain_file::refusal(&file).map_or(Ok(()), Err).with_context(|| file.display().to_string())?;
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
     let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));

@@ -3,14 +3,13 @@
 
 use std::path::Path;
 
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{MANIFEST, RunFolder};
 use proto::Digest;
 
 use crate::config::message_steps::MESSAGE;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
 use crate::errors::Usage;
-use crate::run::run_path;
 
 const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
@@ -76,7 +75,7 @@ pub(crate) fn demand_same_program(
 ) -> anyhow::Result<()> {
     let Some(manifest) = RunFolder::recorded(folder) else {
         // The checkpoint has the hash of its settings, too, and the learner writes the manifest again.
-        let file = run_path::manifest_file(folder);
+        let file = folder.join(MANIFEST);
         tracing::warn!("{} is missing or damaged: its fingerprint is not compared", file.display());
         return Ok(());
     };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use anyhow::Context as _;
-use learner::store::run_folder::{CONFIG, LOGS, MANIFEST, METRICS, RunFolder, STARTS};
+use learner::store::run_folder::{CONFIG, RunFolder, STARTS};
 use learner::store::{checkpoint, durable, plain_file};
 use time::OffsetDateTime;
 
@@ -17,14 +17,15 @@ use crate::process::shell;
 /// Longest name of a folder that file systems allow, bytes.
 const LONGEST_NAME: usize = 255;
 
-/// The resolved configuration.
-pub(crate) fn config_file(folder: &Path) -> PathBuf {
-    folder.join(CONFIG)
-}
+/// Where new runs go by default.
+const RUNS: &str = "runs";
+
+/// The learner that is asked if there is no run.
+const LEARNER: &str = "http://127.0.0.1:50051";
 
 /// Refuses a folder that contains neither a run nor a checkpoint.
 pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
-    let is_run = config_file(folder).is_file() || RunFolder::holds_run(folder);
+    let is_run = folder.join(CONFIG).is_file() || RunFolder::holds_run(folder);
     if is_run || checkpoint::is_checkpoint(folder) {
         return Ok(());
     }
@@ -70,21 +71,6 @@ pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
     )))
 }
 
-/// One JSON object per iteration or evaluation.
-pub(crate) fn metrics_file(folder: &Path) -> PathBuf {
-    folder.join(METRICS)
-}
-
-/// Versions, hashes and the fingerprint.
-pub(crate) fn manifest_file(folder: &Path) -> PathBuf {
-    folder.join(MANIFEST)
-}
-
-/// Actors' logs and recordings.
-pub(crate) fn logs(folder: &Path) -> PathBuf {
-    folder.join(LOGS)
-}
-
 /// The files of a folder whose names `belong`, in the order of their names. Refuses pipes and devices, which would block.
 pub(crate) fn files(folder: &Path, belong: fn(&str) -> bool) -> io::Result<Vec<PathBuf>> {
     let paths = folder.read_dir()?.filter_map(|entry| Some(entry.ok()?.path()));
@@ -123,17 +109,6 @@ pub(crate) fn default_folder(task: &str, algorithm: &str, seed: u64, now: System
     PathBuf::from(format!("runs/{task}-{algorithm}-seed{seed}-{}", utc(now.into())))
 }
 
-/// `20260131-235959`, in UTC.
-fn utc(time: OffsetDateTime) -> String {
-    let ((year, month, day), (hour, minute, second)) = (time.to_calendar_date(), time.to_hms());
-    format!("{year:04}{:02}{day:02}-{hour:02}{minute:02}{second:02}", u8::from(month))
-}
-
-/// Where new runs go by default.
-const RUNS: &str = "runs";
-/// The learner that is asked if there is no run.
-const LEARNER: &str = "http://127.0.0.1:50051";
-
 /// `of`, or the run of the checkpoint `of`, or if it is empty the newest run that has a learner, else the newest run, else
 /// the default learner.
 pub(crate) fn or_newest(of: &str) -> Result<String, Usage> {
@@ -152,25 +127,6 @@ pub(crate) fn all_runs() -> Result<Vec<PathBuf>, Usage> {
         return Err(Usage::new(format!("there is no run in ./{RUNS}; name the run folders")));
     }
     Ok(found)
-}
-
-fn newest(runs: &Path) -> Option<PathBuf> {
-    folders(runs).max_by_key(|folder| {
-        let is_live = matches!(RunFolder::listening(folder), Ok(Some(_)));
-        (is_live, started(folder), folder.clone())
-    })
-}
-
-fn folders(runs: &Path) -> impl Iterator<Item = PathBuf> {
-    let entries = runs.read_dir().into_iter().flatten();
-    let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    folders.filter(|folder| RunFolder::holds_run(folder))
-}
-
-/// When the newest learner of a run started.
-fn started(folder: &Path) -> SystemTime {
-    let starts = folder.join(STARTS).metadata().and_then(|file| file.modified());
-    starts.unwrap_or(SystemTime::UNIX_EPOCH)
 }
 
 /// What a folder may contain before a run begins in it.
@@ -279,6 +235,31 @@ pub(crate) fn named(resolved: &Resolved) -> Result<Option<PathBuf>, ConfigError>
 /// Refuses a folder in a run, where its files would mix with the run's.
 pub(crate) fn demand_outside_runs(path: &Path) -> Result<(), Usage> {
     RunFolder::demand_outside_runs(path).map_err(|why| Usage::new(why.to_string()))
+}
+
+/// `20260131-235959`, in UTC.
+fn utc(time: OffsetDateTime) -> String {
+    let ((year, month, day), (hour, minute, second)) = (time.to_calendar_date(), time.to_hms());
+    format!("{year:04}{:02}{day:02}-{hour:02}{minute:02}{second:02}", u8::from(month))
+}
+
+fn newest(runs: &Path) -> Option<PathBuf> {
+    folders(runs).max_by_key(|folder| {
+        let is_live = matches!(RunFolder::listening(folder), Ok(Some(_)));
+        (is_live, started(folder), folder.clone())
+    })
+}
+
+fn folders(runs: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = runs.read_dir().into_iter().flatten();
+    let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    folders.filter(|folder| RunFolder::holds_run(folder))
+}
+
+/// When the newest learner of a run started.
+fn started(folder: &Path) -> SystemTime {
+    let starts = folder.join(STARTS).metadata().and_then(|file| file.modified());
+    starts.unwrap_or(SystemTime::UNIX_EPOCH)
 }
 
 #[cfg(test)]

@@ -39,44 +39,6 @@ pub(crate) fn config_of_run(folder: &Path) -> Result<RunConfig, ConfigError> {
     settings_of_run(folder).map(|(_, config)| config)
 }
 
-/// Refuses settings with another hash than the run's manifest records.
-fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
-    let recorded = RunFolder::recorded_config_sha256(folder);
-    let found = policy::arrays::hex(&config.resolved.sha256());
-    match recorded {
-        Some(expected) if expected != found => {
-            let detail = format!(
-                "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"
-            );
-            Err(unreadable(file, detail))
-        }
-        _ => Ok(config),
-    }
-}
-
-/// Explains a key in a run's own settings that this program does not know, if another version or commit made the run.
-fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
-    let (ConfigError::UnknownKey { place, key, .. }, Some(manifest)) =
-        (&error, RunFolder::recorded(folder))
-    else {
-        return error;
-    };
-    let recorded = |field: &str| manifest[field].as_str().unwrap_or("unknown").to_owned();
-    let (version, commit) = (recorded("version"), recorded("git_commit"));
-    if (version.as_str(), commit.as_str()) == (env!("CARGO_PKG_VERSION"), env!("S2MIA_GIT_COMMIT"))
-    {
-        return error;
-    }
-    let detail = format!(
-        "unknown key `{key}`: another version made the run, {version}, commit {commit}; train again"
-    );
-    ConfigError::Unreadable { place: place.clone(), detail }
-}
-
-fn unreadable(file: &Path, detail: String) -> ConfigError {
-    ConfigError::Unreadable { place: file.display().to_string(), detail }
-}
-
 /// A trained policy with the settings of its run.
 pub(crate) struct Trained {
     /// Settings of the run.
@@ -149,6 +111,44 @@ pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String
         ("env_steps".to_owned(), trained.env_steps.to_string()),
         ("config_sha256".to_owned(), trained.config_sha256.clone()),
     ])
+}
+
+/// Refuses settings with another hash than the run's manifest records.
+fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
+    let recorded = RunFolder::recorded_config_sha256(folder);
+    let found = policy::arrays::hex(&config.resolved.sha256());
+    match recorded {
+        Some(expected) if expected != found => {
+            let detail = format!(
+                "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"
+            );
+            Err(unreadable(file, detail))
+        }
+        _ => Ok(config),
+    }
+}
+
+/// Explains a key in a run's own settings that this program does not know, if another version or commit made the run.
+fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
+    let (ConfigError::UnknownKey { place, key, .. }, Some(manifest)) =
+        (&error, RunFolder::recorded(folder))
+    else {
+        return error;
+    };
+    let recorded = |field: &str| manifest[field].as_str().unwrap_or("unknown").to_owned();
+    let (version, commit) = (recorded("version"), recorded("git_commit"));
+    if (version.as_str(), commit.as_str()) == (env!("CARGO_PKG_VERSION"), env!("S2MIA_GIT_COMMIT"))
+    {
+        return error;
+    }
+    let detail = format!(
+        "unknown key `{key}`: another version made the run, {version}, commit {commit}; train again"
+    );
+    ConfigError::Unreadable { place: place.clone(), detail }
+}
+
+fn unreadable(file: &Path, detail: String) -> ConfigError {
+    ConfigError::Unreadable { place: file.display().to_string(), detail }
 }
 
 #[cfg(test)]

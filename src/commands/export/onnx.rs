@@ -14,14 +14,8 @@ use prost::Message;
 
 /// IR version 8 came with operator set 17, the first that has `LayerNormalization`.
 const IR_VERSION: i64 = 8;
-const OPERATOR_SET: i64 = 17;
 
-/// `TensorProto.DataType`
-#[derive(Clone, Copy)]
-pub(super) enum ElementType {
-    Float = 1,
-    Int64 = 7,
-}
+const OPERATOR_SET: i64 = 17;
 
 /// `ModelProto`
 #[derive(Clone, PartialEq, Message)]
@@ -38,6 +32,55 @@ pub(super) struct Model {
     opset_import: Vec<OperatorSet>,
     #[prost(message, repeated, tag = "14")]
     metadata_props: Vec<Entry>,
+}
+
+impl Model {
+    fn new(graph: Graph, about: &BTreeMap<String, String>) -> Self {
+        let entry =
+            |(key, value): (&String, &String)| Entry { key: key.clone(), value: value.clone() };
+        Self {
+            ir_version: IR_VERSION,
+            producer_name: "s2mia".to_owned(),
+            producer_version: env!("CARGO_PKG_VERSION").to_owned(),
+            graph: Some(graph),
+            opset_import: vec![OperatorSet { domain: String::new(), version: OPERATOR_SET }],
+            metadata_props: about.iter().map(entry).collect(),
+        }
+    }
+
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
+        self.encode_to_vec()
+    }
+}
+
+/// The model of one agent; `about` goes into its metadata.
+pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
+    let mut graph = Graph::new("policy".to_owned());
+    // No node uses the deviations of actions; the metadata contains them as `sigma`.
+    for (name, array) in agent.arrays().iter().filter(|(name, _)| *name != "head.log_std") {
+        let Array::F32 { shape, data } = array else { unreachable!("{name}: policies are f32") };
+        graph.constant(name, shape, data);
+    }
+    graph.input("observation", agent.observation_size());
+    let seen = standardised(&mut graph, agent);
+    let features = match agent.spec().core() {
+        CoreKind::Gru => recurrent(&mut graph, agent, seen),
+        CoreKind::Mlp => feed_forward(&mut graph, agent, seen),
+    };
+    dense(&mut graph, "head", &features, "output");
+    graph.output("output", ElementType::Float, agent.output_size());
+    action(&mut graph, agent);
+    let sigma = agent.sigma().iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
+    let mut about = about.clone();
+    about.insert("sigma".to_owned(), sigma);
+    Model::new(graph, &about)
+}
+
+/// `TensorProto.DataType`
+#[derive(Clone, Copy)]
+enum ElementType {
+    Float = 1,
+    Int64 = 7,
 }
 
 /// `OperatorSetIdProto`
@@ -60,7 +103,7 @@ struct Entry {
 
 /// `GraphProto`
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct Graph {
+struct Graph {
     #[prost(message, repeated, tag = "1")]
     node: Vec<Node>,
     #[prost(string, tag = "2")]
@@ -90,7 +133,7 @@ struct Node {
 
 /// `AttributeProto`, of the kinds used here.
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct Attribute {
+struct Attribute {
     #[prost(string, tag = "1")]
     name: String,
     #[prost(float, optional, tag = "2")]
@@ -156,42 +199,23 @@ struct Dimension {
     dim_param: Option<String>,
 }
 
-impl Model {
-    pub(super) fn new(graph: Graph, about: &BTreeMap<String, String>) -> Self {
-        let entry =
-            |(key, value): (&String, &String)| Entry { key: key.clone(), value: value.clone() };
-        Self {
-            ir_version: IR_VERSION,
-            producer_name: "s2mia".to_owned(),
-            producer_version: env!("CARGO_PKG_VERSION").to_owned(),
-            graph: Some(graph),
-            opset_import: vec![OperatorSet { domain: String::new(), version: OPERATOR_SET }],
-            metadata_props: about.iter().map(entry).collect(),
-        }
-    }
-
-    pub(super) fn to_bytes(&self) -> Vec<u8> {
-        self.encode_to_vec()
-    }
-}
-
 impl Graph {
-    pub(super) fn new(name: String) -> Self {
+    fn new(name: String) -> Self {
         Self { name, ..Self::default() }
     }
 
     /// An input `[rows, width]`, any number of rows.
-    pub(super) fn input(&mut self, name: &str, width: usize) {
+    fn input(&mut self, name: &str, width: usize) {
         self.input.push(rows_of(name, ElementType::Float, width));
     }
 
     /// An output `[rows, width]`.
-    pub(super) fn output(&mut self, name: &str, element: ElementType, width: usize) {
+    fn output(&mut self, name: &str, element: ElementType, width: usize) {
         self.output.push(rows_of(name, element, width));
     }
 
     /// A constant.
-    pub(super) fn constant(&mut self, name: &str, shape: &[usize], data: &[f32]) {
+    fn constant(&mut self, name: &str, shape: &[usize], data: &[f32]) {
         self.initializer.push(Tensor {
             dims: shape.iter().map(|&length| length as i64).collect(),
             data_type: ElementType::Float as i32,
@@ -201,7 +225,7 @@ impl Graph {
     }
 
     /// `outputs = operator(inputs)`
-    pub(super) fn node<const ATTRIBUTES: usize>(
+    fn node<const ATTRIBUTES: usize>(
         &mut self,
         operator: &str,
         inputs: &[&str],
@@ -220,12 +244,12 @@ impl Graph {
 }
 
 /// An attribute that is an integer.
-pub(super) fn integer(name: &str, value: i64) -> Attribute {
+fn integer(name: &str, value: i64) -> Attribute {
     Attribute { name: name.to_owned(), f: None, i: Some(value), kind: 2 }
 }
 
 /// An attribute that is a float.
-pub(super) fn float(name: &str, value: f32) -> Attribute {
+fn float(name: &str, value: f32) -> Attribute {
     Attribute { name: name.to_owned(), f: Some(value), i: None, kind: 1 }
 }
 
@@ -235,29 +259,6 @@ fn rows_of(name: &str, element: ElementType, width: usize) -> Value {
     let shape = Some(Shape { dim: vec![rows, width] });
     let tensor_type = Some(TensorType { elem_type: element as i32, shape });
     Value { name: name.to_owned(), r#type: Some(Type { tensor_type }) }
-}
-
-/// The model of one agent; `about` goes into its metadata.
-pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
-    let mut graph = Graph::new("policy".to_owned());
-    // No node uses the deviations of actions; the metadata contains them as `sigma`.
-    for (name, array) in agent.arrays().iter().filter(|(name, _)| *name != "head.log_std") {
-        let Array::F32 { shape, data } = array else { unreachable!("{name}: policies are f32") };
-        graph.constant(name, shape, data);
-    }
-    graph.input("observation", agent.observation_size());
-    let seen = standardised(&mut graph, agent);
-    let features = match agent.spec().core() {
-        CoreKind::Gru => recurrent(&mut graph, agent, seen),
-        CoreKind::Mlp => feed_forward(&mut graph, agent, seen),
-    };
-    dense(&mut graph, "head", &features, "output");
-    graph.output("output", ElementType::Float, agent.output_size());
-    action(&mut graph, agent);
-    let sigma = agent.sigma().iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
-    let mut about = about.clone();
-    about.insert("sigma".to_owned(), sigma);
-    Model::new(graph, &about)
 }
 
 /// `clamp((x - mean) / deviation)`, where the policy standardises.
