@@ -8,8 +8,8 @@ use policy::PolicySnapshot;
 use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
-    Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_MESSAGE_BYTES, Registered,
-    Registration, ReturnedLease, RunDescription, WeightsName, wire,
+    Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_DESCRIPTION_BYTES,
+    MAX_MESSAGE_BYTES, Registered, Registration, ReturnedLease, RunDescription, WeightsName, wire,
 };
 use security::{ClientTls, Token};
 use tokio::sync::mpsc;
@@ -69,7 +69,8 @@ impl Client {
 
     pub(crate) async fn describe_run(&mut self) -> Result<RunDescription, ActorError> {
         let request = within(CALL_DEADLINE, wire::DescribeRunRequest {});
-        let answer = self.service.describe_run(request).await?.into_inner();
+        let mut service = self.service.clone().max_decoding_message_size(MAX_DESCRIPTION_BYTES);
+        let answer = service.describe_run(request).await?.into_inner();
         let run = RunDescription::from_wire(answer.run)?;
         run.validate()?;
         Ok(run)

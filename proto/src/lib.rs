@@ -66,8 +66,10 @@ pub fn wire_bytes(message: &impl prost::Message) -> usize {
 
 /// Version of what the `.proto` files say. Both sides must have the same one.
 pub const PROTOCOL_VERSION: u32 = 5;
-/// Largest message in either direction, bytes.
+/// Largest message in either direction, but for the description of a run, bytes.
 pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
+/// Largest answer with the description of a run, bytes: it has the task's model twice, of 4 MiB at most.
+pub const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
 /// Largest part of a policy snapshot in one message, bytes.
 pub const MAX_WEIGHTS_PIECE_BYTES: usize = 1 << 20;
 /// Maximum number of unacknowledged messages of one stream.

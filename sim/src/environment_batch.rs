@@ -117,6 +117,18 @@ pub trait EnvironmentBatch: Send {
         self.world(0).map(World::robot)
     }
 
+    /// What makes the task of a simulated robot hard to learn, one sentence each with what to change; empty for games and
+    /// external environments.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Controls to which the actions -1 and 1 of an agent of a simulated robot are mapped, one pair for each number of its
+    /// action; empty for games and external environments.
+    fn control_ranges(&self, _agent: usize) -> Vec<[f32; 2]> {
+        Vec::new()
+    }
+
     /// Bounds of an encoded state; `None` for external environments.
     fn state_bounds(&self) -> Option<&StateBounds> {
         None

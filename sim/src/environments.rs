@@ -1,6 +1,7 @@
 //! The robot environments of a slot: one world each, stepped in order.
 
 mod describe;
+mod warnings;
 
 use std::sync::Arc;
 
@@ -28,6 +29,9 @@ pub(crate) struct RobotEnvironments {
     observation: Observation,
     /// Motor driven by each component of the joint action, `[A]`.
     motors: Vec<Driven>,
+    /// Controls of the last step in the state of a start, in the order of the joint action; empty unless the reward reads
+    /// them.
+    first_controls: Vec<f32>,
     environments: Vec<Environment>,
     /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
@@ -70,20 +74,16 @@ impl RobotEnvironments {
         if count == 0 {
             return Err(SimError::NoEnvironments);
         }
-        let actuators: Vec<&str> = task.robot.actuators().collect();
-        let position = |joint: &String| {
-            let named = actuators.iter().position(|name| *name == joint.as_str());
-            named.expect("a task's lists name actuators of its robot, which `Task` checks")
-        };
-        let of_agent = |joints: &Vec<String>| joints.iter().map(position).collect();
-        let agents: Vec<Vec<usize>> = task.agents.iter().map(of_agent).collect();
-        let motors = actuators.len();
+        let motors = task.robot.blueprint().motors.len();
         let view = effective(&config.observation, &task.rules);
         let mut bounds = task.robot.state_bounds(task.episode_steps);
         if task.rules.reads_last_action() {
             bounds.actions = motors;
         }
-        let (description, observation) = describe::describe(&task, &agents, &view, &bounds);
+        let (description, observation) = describe::describe(&task, &view, &bounds);
+        let driven = Driven::all(&task);
+        let first = driven.iter().map(|driven| task.controls.first[driven.motor]);
+        let first_controls = first.take(bounds.actions).collect();
         let robot = Arc::new(task.robot);
         let position = EpisodePosition { episode: 0, step: 0, limit: task.episode_steps };
         let rest = rest(&robot, &bounds, position);
@@ -95,7 +95,8 @@ impl RobotEnvironments {
         let mut environments = Self {
             rules: task.rules,
             bounds,
-            motors: Driven::all(&robot, &agents),
+            motors: driven,
+            first_controls,
             environments: (0..count).map(fresh).collect(),
             controls: vec![0.0; motors],
             asked: vec![0.0; motors],
@@ -118,6 +119,17 @@ impl EnvironmentBatch for RobotEnvironments {
         self.environments.len()
     }
 
+    fn control_ranges(&self, agent: usize) -> Vec<[f32; 2]> {
+        let sizes = self.description.agents.iter().map(|agent| agent.action.size);
+        let first: usize = sizes.take(agent).sum();
+        let own = &self.motors[first..][..self.description.agents[agent].action.size];
+        own.iter().map(|driven| driven.range).collect()
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        warnings::warnings(&self.robot, &self.rules)
+    }
+
     fn state_bounds(&self) -> Option<&StateBounds> {
         Some(&self.bounds)
     }
@@ -132,6 +144,7 @@ impl EnvironmentBatch for RobotEnvironments {
         let limit = limit.clamp(1, self.description.episode_steps);
         let position = EpisodePosition { episode, step: 0, limit };
         let mut state = rest(&self.robot, &self.bounds, position);
+        state.actions.copy_from_slice(&self.first_controls);
         let mut rng = ChaCha8Rng::from_seed(key);
         self.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
         let bytes = state.to_bytes(&self.bounds.kind);
@@ -247,7 +260,7 @@ impl RobotEnvironments {
         let (control, last_control) = (self.asked.as_slice(), self.next.actions.as_slice());
         let dt_secs = self.description.dt_secs as f32;
         let EpisodePosition { step, limit, .. } = environment.now.position;
-        let terminated = self.rules.terminated(&after);
+        let terminated = self.rules.terminated(&after, &environment.seen);
         Outcome {
             reward: self.rules.reward(&Transition {
                 before,

@@ -31,7 +31,7 @@ pub use environment_batch::{EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;
-pub use robot::{Robot, one_document};
+pub use robot::{Actuator, Robot, Torque, one_document};
 pub use scene::{Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated};
 pub use simulation::environments;
 pub use state::{State, StateBounds};

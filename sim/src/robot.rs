@@ -1,5 +1,6 @@
 //! Robots. Each robot is built once as a template, from which all worlds are cloned.
 
+mod actuator;
 mod assemble;
 mod blueprint;
 mod convex;
@@ -23,12 +24,13 @@ use crate::error::SimError;
 use crate::scene::{LinkShape, parts};
 use crate::state::StateBounds;
 
+pub use actuator::{Actuator, Torque};
 pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
 pub(crate) use blueprint::{
-    Blueprint, Cone, GroundForm, JointPlan, Law, LinkPlan, MotorPlan, ShapePlan,
+    Blueprint, Cone, GroundForm, JointPlan, Keyframe, Law, LinkPlan, MotorPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
-pub(crate) use layout::{HingeMap, JointMap, Layout, MapKind};
+pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;
 #[cfg(test)]
@@ -75,6 +77,17 @@ pub struct Robot {
     template: Template,
 }
 
+/// Replaces a damping ratio by MuJoCo's damping, `2 ratio sqrt(kp m)`, where `m` is the joint's inertia with all other joints
+/// free.
+fn damp(motor: &mut MotorPlan, layout: &Layout) {
+    let Some(servo) = &mut motor.servo else { return };
+    let [_, stiffness, ratio] = servo.bias;
+    if ratio > 0.0 && servo.gain == -stiffness && motor.gear != 0.0 {
+        let inertia = 1.0 / (layout.hinges[motor.hinge].inverse_inertia * motor.gear * motor.gear);
+        servo.bias[2] = -2.0 * ratio * (servo.gain * inertia).sqrt();
+    }
+}
+
 impl Robot {
     /// Builds a robot whose model is one document.
     pub(crate) fn build(row: RobotRow) -> Result<Self, SimError> {
@@ -99,6 +112,7 @@ impl Robot {
             blueprint.use_engine(compliance).map_err(refused)?;
         }
         let (template, layout) = assemble::assemble(&blueprint).map_err(refused)?;
+        blueprint.motors.iter_mut().for_each(|motor| damp(motor, &layout));
         Ok(Self {
             name: row.name,
             frame_skip: row.frame_skip,
@@ -117,12 +131,6 @@ impl Robot {
     /// What MuJoCo simulates for this model and this simulator leaves out, one sentence each.
     pub fn left_out(&self) -> &[String] {
         &self.blueprint.left_out
-    }
-
-    /// Range of the control of the motor of `joint`; `None` without a motor.
-    pub fn control_range(&self, joint: &str) -> Option<[f32; 2]> {
-        let mut motors = self.blueprint.motors.iter();
-        motors.find(|motor| motor.joint == joint).map(|motor| motor.range)
     }
 
     /// Kind of its encoded states.
@@ -164,19 +172,6 @@ impl Robot {
     /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
     pub fn hinge_units(&self) -> impl Iterator<Item = [&'static str; 2]> {
         self.layout.hinges.iter().map(layout::HingeMap::units)
-    }
-
-    /// Joints of the motors, in the order of the model's actuators.
-    pub fn actuators(&self) -> impl Iterator<Item = &str> {
-        self.blueprint.motors.iter().map(|motor| motor.joint.as_str())
-    }
-
-    /// Torque of the motor of `joint` for a control, which is clamped to its range, N m; `None` without a motor, or if the
-    /// torque also depends on the robot's motion.
-    pub fn torque(&self, joint: &str, control: f32) -> Option<f32> {
-        let mut motors = self.blueprint.motors.iter();
-        let motor = motors.find(|motor| motor.joint == joint && motor.servo.is_none())?;
-        Some(motor.gear * control.clamp(motor.range[0], motor.range[1]))
     }
 
     /// Name, mass (kg) and ascending principal inertias about the centre of mass (kg m^2) of each link.

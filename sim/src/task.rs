@@ -1,6 +1,7 @@
 //! Tasks: a robot, its partition among agents, and the rules for starts, rewards and ends of episodes. Each comes from a
 //! task file, which is part of the program or of the settings.
 
+mod actions;
 mod definition;
 mod names;
 mod rules;
@@ -9,6 +10,7 @@ mod terms;
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
+use actions::Controls;
 pub(crate) use definition::TaskFile;
 use definition::refused;
 use names::Names;
@@ -24,11 +26,12 @@ use crate::robot::{MotorPlan, Robot};
 pub(crate) struct Task {
     pub(crate) name: String,
     pub(crate) robot: Robot,
-    /// Joint names of each agent.
-    pub(crate) agents: Vec<Vec<String>>,
+    /// Motors of each agent, as indices of the model's actuators.
+    pub(crate) agents: Vec<Vec<usize>>,
     /// Steps after which an episode is truncated.
     pub(crate) episode_steps: u32,
     pub(crate) rules: Rules,
+    pub(crate) controls: Controls,
 }
 
 /// Coordinates and velocities of a robot at one time.
@@ -115,13 +118,15 @@ impl Task {
             let known = file.task_names().collect::<Vec<_>>().join(", ");
             return Err(refused(format!("there is no task `{name}` in the file, only {known}")));
         };
-        check_agents(agents, &robot)?;
+        let agents = motors_of(agents, &robot)?;
         let rules = Rules::new(file, &robot)?;
-        check_neighbourhood(&robot, &rules, agents)?;
+        check_neighbourhood(&robot, &rules)?;
+        let controls = Controls::new(&file.actions, &rules, &robot)?;
         Ok(Self {
             name: name.to_owned(),
             robot,
-            agents: agents.clone(),
+            agents,
+            controls,
             episode_steps: file.episode_steps,
             rules,
         })
@@ -203,57 +208,74 @@ fn check_numbers(robot: &Robot) -> Result<(), SimError> {
             )));
         }
     }
-    for MotorPlan { joint, gear, range: [low, high], .. } in &robot.blueprint().motors {
+    for MotorPlan { name, gear, range: [low, high], .. } in &robot.blueprint().motors {
         if !(low.is_finite() && high.is_finite() && low < high && gear.is_finite()) {
             return Err(unfit(format!(
-                "{joint}: its motor has gear {gear} and range [{low}, {high}]"
+                "{name}: its motor has gear {gear} and range [{low}, {high}]"
             )));
         }
     }
     Ok(())
 }
 
-/// Checks that every motor's joint belongs to exactly one agent.
-fn check_agents(agents: &[Vec<String>], robot: &Robot) -> Result<(), SimError> {
-    let motors: Vec<String> = robot.actuators().map(str::to_owned).collect();
-    if let Some((_, joint)) =
-        motors.iter().enumerate().find(|(i, joint)| motors[..*i].contains(joint))
-    {
-        return Err(refused(format!("agents: the joint `{joint}` has more than one motor")));
+/// Motors of each agent. A joint's name stands for all its actuators, that of an actuator for one of them; each belongs to
+/// exactly one agent.
+fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, SimError> {
+    let motors = &robot.blueprint().motors;
+    if motors.is_empty() {
+        let reason =
+            "the model has no actuators, so there is nothing to learn; add an <actuator> section";
+        return Err(SimError::Model { robot: robot.name().to_owned(), reason: reason.to_owned() });
     }
-    let names = Names::new("motor on a joint", &motors);
+    if agents.is_empty() {
+        return Err(refused("agents: a partition needs at least one agent, such as [[\"hip\"]]"));
+    }
+    let known: BTreeSet<&String> =
+        motors.iter().flat_map(|motor| [&motor.joint, &motor.name]).collect();
+    let known: Vec<String> = known.into_iter().cloned().collect();
+    let names = Names::new("actuator or joint with one", &known);
+    let indices = |is: &dyn Fn(&MotorPlan) -> bool| {
+        (0..motors.len()).filter(|&index| is(&motors[index])).collect::<Vec<_>>()
+    };
     let mut owned = BTreeSet::new();
-    for (number, joints) in agents.iter().enumerate() {
-        if joints.is_empty() {
+    let mut found = Vec::new();
+    for (number, actuators) in agents.iter().enumerate() {
+        if actuators.is_empty() {
             return Err(refused(format!("agents: agent {number} has no joint")));
         }
-        for joint in joints {
-            names.index("agents", joint)?;
-            if !owned.insert(joint) {
-                return Err(refused(format!("agents: the joint `{joint}` is named twice")));
+        let mut of_agent = Vec::new();
+        for name in actuators {
+            names.index("agents", name)?;
+            let mut named = indices(&|motor| motor.joint == *name);
+            if named.is_empty() {
+                named = indices(&|motor| motor.name == *name);
             }
+            if named.iter().any(|&motor| !owned.insert(motor)) {
+                return Err(refused(format!("agents: the joint `{name}` is named twice")));
+            }
+            of_agent.extend(named);
         }
+        found.push(of_agent);
     }
-    match motors.iter().find(|motor| !owned.contains(motor)) {
-        None => Ok(()),
-        Some(joint) => Err(refused(format!("agents: the joint `{joint}` belongs to no agent"))),
+    match (0..motors.len()).find(|motor| !owned.contains(motor)) {
+        None => Ok(found),
+        Some(motor) => {
+            let MotorPlan { joint, name, .. } = &motors[motor];
+            let kind = if joint == name { "joint" } else { "actuator" };
+            Err(refused(format!("agents: the {kind} `{name}` belongs to no agent")))
+        }
     }
 }
 
 /// Checks that the features which `k_nearest` shows exist.
-fn check_neighbourhood(
-    robot: &Robot,
-    rules: &Rules,
-    agents: &[Vec<String>],
-) -> Result<(), SimError> {
+fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     let features = rules.state_features(robot).into_iter().map(|feature| feature.name);
     let features: Vec<String> = features.collect();
     let state = Names::new("feature in its global state", &features);
-    for (key, joints) in [("agents", agents), ("neighbourhood.edges", &robot.neighbourhood().edges)]
-    {
-        for joint in joints.iter().flatten() {
-            state.index(key, &format!("{joint}.position"))?;
-        }
+    let driven = robot.blueprint().motors.iter().map(|motor| ("agents", &motor.joint));
+    let near = robot.neighbourhood().edges.iter().flatten();
+    for (key, joint) in driven.chain(near.map(|joint| ("neighbourhood.edges", joint))) {
+        state.index(key, &format!("{joint}.position"))?;
     }
     for name in &robot.neighbourhood().globals {
         state.index("neighbourhood.globals", name)?;

@@ -12,7 +12,7 @@ use policy::{ActorPolicy, DrawKey, PolicySnapshot};
 use proto::{ActionChoice, AgentSpec, EnvironmentSpec};
 use rollout::StepEvent;
 use serde_json::json;
-use sim::{EnvironmentBatch, Robot, SimError};
+use sim::{EnvironmentBatch, SimError};
 
 use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
@@ -62,8 +62,9 @@ fn export(
     let mut files = Vec::new();
     for (index, (agent, described)) in snapshot.agents.iter().zip(&task.agents).enumerate() {
         let name = format!("agent_{index}.onnx");
+        let controls = world.robot().map(|_| world.control_ranges(index));
         let about: BTreeMap<_, _> =
-            common.clone().into_iter().chain(about_agent(described, world.robot())).collect();
+            common.clone().into_iter().chain(about_agent(described, controls)).collect();
         target::file(&folder.join(&name), &onnx::model(agent, &about).to_bytes())?;
         files.push((name, sizes(agent)));
     }
@@ -102,7 +103,7 @@ fn common(trained: &Trained, task: &EnvironmentSpec) -> BTreeMap<String, String>
 
 /// Metadata of one agent's model: the meaning of each input and output, and the limits of the action and, for a simulated
 /// robot, of the controls to which it is mapped.
-fn about_agent(agent: &AgentSpec, robot: Option<&Robot>) -> BTreeMap<String, String> {
+fn about_agent(agent: &AgentSpec, controls: Option<Vec<[f32; 2]>>) -> BTreeMap<String, String> {
     let features: Vec<&String> = agent.observation.iter().map(|feature| &feature.name).collect();
     let limits = match agent.action.choices {
         Some(choices) => vec![("action_choices", choices.to_string())],
@@ -111,9 +112,7 @@ fn about_agent(agent: &AgentSpec, robot: Option<&Robot>) -> BTreeMap<String, Str
             ("action_high", agent.action.high.to_string()),
         ],
     };
-    let controls = robot.map(|robot| {
-        let ranges = agent.joints.iter().filter_map(|joint| robot.control_range(joint));
-        let ranges: Vec<_> = ranges.collect();
+    let controls = controls.map(|ranges| {
         ("control_ranges", serde_json::to_string(&ranges).expect("ranges of a model are finite"))
     });
     let words = [

@@ -8,7 +8,7 @@ use policy::randomness::uniform;
 use policy::{Draw, DrawKey, Purpose, RunSeed};
 use proto::EnvironmentSpec;
 use serde_json::json;
-use sim::{EnvironmentBatch, Outcome, Pose, Robot, TaskDefinition};
+use sim::{Actuator, EnvironmentBatch, Outcome, Pose, Robot, TaskDefinition, Torque};
 
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
@@ -222,8 +222,8 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     output::line(as_table(world.description()).trim_end());
     output::line(links(robot));
     output::line(joints(robot));
-    for hint in robot.hard_to_explore() {
-        output::line(format!("warning: {hint}"));
+    for warning in world.warnings() {
+        output::line(format!("warning: {warning}"));
     }
     let mut trial = Trial::default();
     for episode in 0..arguments.episodes {
@@ -257,18 +257,27 @@ fn joints(robot: &Robot) -> String {
             Some([low, high]) => format!("{low} to {high} {unit}"),
             None => "no limits".to_owned(),
         };
-        let ends = [f32::MIN, f32::MAX].map(|control| robot.torque(name, control));
-        let motor = match (robot.control_range(name), ends) {
-            (Some([low, high]), [Some(one), Some(other)]) => {
-                let largest = one.abs().max(other.abs());
-                format!("motor up to {largest} {newtons}, control {low} to {high}")
-            }
-            (Some([low, high]), _) => format!("servo, control {low} to {high}"),
-            (None, _) => "no motor".to_owned(),
-        };
-        format!("joint {name:<16} {range}, {motor}")
+        let of_joint = robot.actuators().filter(|actuator| actuator.joint == name);
+        let motors: Vec<String> = of_joint.map(|actuator| motor(&actuator, newtons)).collect();
+        let motors = if motors.is_empty() { "no motor".to_owned() } else { motors.join("; ") };
+        format!("joint {name:<16} {range}, {motors}")
     };
     robot.hinges().zip(robot.hinge_units()).map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// Kind, largest torque and control range of an actuator, and its name if that is not its joint's.
+fn motor(actuator: &Actuator<'_>, newtons: &str) -> String {
+    let kind = match actuator.torque {
+        Torque::Motor(largest) => format!("motor up to {largest} {newtons}"),
+        Torque::Servo(Some(largest)) => format!("servo, at most {largest} {newtons}"),
+        Torque::Servo(None) => "servo".to_owned(),
+    };
+    let [low, high] = actuator.control;
+    let name = match actuator.name == actuator.joint {
+        true => String::new(),
+        false => format!(" ({})", actuator.name),
+    };
+    format!("{kind}, control {low} to {high}{name}")
 }
 
 /// What happens under random actions.

@@ -20,8 +20,10 @@ pub(crate) const FILE: &str = "task_file.text";
 /// Text of the model that the file names.
 pub(crate) const MODEL: &str = "task_file.model";
 
-/// Largest task file, and largest model as one document: both are part of every `config.toml` of the run.
-const LIMIT_BYTES: u64 = 256 << 10;
+/// Largest task file.
+const FILE_BYTES: u64 = 256 << 10;
+/// Largest model as one document, which is part of every `config.toml` of the run and twice in its description for actors.
+const MODEL_BYTES: u64 = 4 << 20;
 /// Largest file that a model names.
 const MODEL_FILE_BYTES: u64 = 64 << 20;
 
@@ -134,7 +136,7 @@ impl OwnTask {
 
 fn text(path: &Path) -> Result<String, ConfigError> {
     let place = path.display().to_string();
-    let bytes = content(path, LIMIT_BYTES).map_err(|error| refused(&place, error))?;
+    let bytes = content(path, FILE_BYTES).map_err(|error| refused(&place, error))?;
     String::from_utf8(bytes).map_err(|_| refused(&place, "it is not UTF-8 text"))
 }
 
@@ -146,9 +148,9 @@ fn one_document(folder: &Path, document: &str) -> Result<String, String> {
     };
     let text = sim::one_document(document, read).map_err(|error| error.to_string())?;
     match text.len() as u64 {
-        0..=LIMIT_BYTES => Ok(text),
+        0..=MODEL_BYTES => Ok(text),
         size => Err(format!(
-            "the model {document} has {size} bytes as one document, at most {LIMIT_BYTES} travel with a run: remove what it \
+            "the model {document} has {size} bytes as one document, at most {MODEL_BYTES} travel with a run: remove what it \
              does not need, and use meshes with fewer corners for contacts"
         )),
     }
@@ -181,6 +183,8 @@ fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
 }
 
 fn refused(place: &str, error: impl std::fmt::Display) -> ConfigError {
-    let detail = name::printable(&error.to_string());
+    // What cannot be built of a model is listed line by line.
+    let lines: Vec<String> = error.to_string().lines().map(name::printable).collect();
+    let detail = lines.join("\n  ");
     ConfigError::Unreadable { place: place.to_owned(), detail }
 }

@@ -113,13 +113,8 @@ impl Moment {
     fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
         let now = Self::of(step.world);
         let world = robot(step.world);
-        let joints = step.world.description().agents.iter().flat_map(|agent| &agent.joints);
-        let work = joints.map(|joint| {
-            let angle =
-                |pose: &Pose| pose.joints.iter().find(|j| j.name == *joint).map(|j| j.position);
-            let turn =
-                angle(&now.pose).zip(angle(&before.pose)).map_or(0.0, |(to, from)| to - from);
-            f64::from(world.torque(joint).unwrap_or(0.0) * turn)
+        let work = now.pose.joints.iter().zip(&before.pose.joints).map(|(to, from)| {
+            f64::from(world.torque(&to.name).unwrap_or(0.0) * (to.position - from.position))
         });
         let work = work.sum();
         Self { work, ..now }

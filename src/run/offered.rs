@@ -54,8 +54,7 @@ impl Offered {
 
 fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let world = sim::environments(&config.task, 1).context("cannot build the task")?;
-    let hints = world.robot().map(sim::Robot::hard_to_explore).unwrap_or_default();
-    hints.iter().for_each(|hint| tracing::warn!("{hint}"));
+    world.warnings().iter().for_each(|warning| tracing::warn!("{warning}"));
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;
     let spec = world.description().clone();

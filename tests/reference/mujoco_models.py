@@ -1,4 +1,5 @@
-"""Writes sim/tests/data/mujoco-models.json: masses and joints that MuJoCo compiles from models of many kinds.
+"""Writes sim/tests/data/mujoco-models.json: masses, joints and actuators that MuJoCo compiles from models of many kinds, and
+motions of some.
 
     python -m venv venv && venv/bin/pip install mujoco==4.0.0
     venv/bin/python tests/reference/mujoco_models.py
@@ -110,8 +111,101 @@ MESHES = """<mujoco>
 </mujoco>
 """
 
+# An L, whose surface's centroid is outside its kernel, so that MuJoCo's "legacy" mass is not its volume.
+BENT = """<mujoco>
+  <asset>
+    <mesh name="bent" vertex="0 0 0  .3 0 0  .3 .1 0  .1 .1 0  .1 .2 0  0 .2 0
+      0 0 .1  .3 0 .1  .3 .1 .1  .1 .1 .1  .1 .2 .1  0 .2 .1"
+      face="0 2 1 0 3 2 0 4 3 0 5 4 6 7 8 6 8 9 6 9 10 6 10 11 0 1 7 0 7 6 1 2 8 1 8 7 2 3 9 2 9 8
+      3 4 10 3 10 9 4 5 11 4 11 10 5 0 6 5 6 11"/>
+  </asset>
+  <worldbody><body name="a"><joint name="j"/><geom type="mesh" mesh="bent"/></body></worldbody>
+</mujoco>
+"""
+
+BOUNDS = """<mujoco>
+  <compiler boundmass="0.5" boundinertia="0.002" inertiagrouprange="1 2"/>
+  <worldbody>
+    <body name="light"><joint name="a"/>
+      <geom type="box" size="0.1 0.02 0.01" pos="0.1 0.2 0" euler="10 20 30" group="1"/>
+      <geom size="0.1" group="3"/>
+      <body name="empty" pos="0 0 0.3"><joint name="b"/></body>
+      <body name="heavy" pos="0 0.3 0"><joint name="c"/><geom size="0.1" group="2"/></body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+# Servos whose damping is stated by a damping ratio, on a chain with an armature and a slide.
+SERVOS = """<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="a"><joint name="turn" axis="0 1 1" armature="0.02" range="-1 2"/>
+      <geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0.1"/>
+      <body name="b" pos="0.3 0 0.1"><joint name="shift" type="slide" axis="1 0 0" range="-0.1 0.3"/>
+        <geom type="box" size="0.05 0.03 0.02" pos="0.05 0 0"/>
+        <body name="c" pos="0.1 0 0"><joint name="bend" axis="1 0 0" pos="0 0 0.1" range="-0.5 0.5"/>
+          <geom size="0.04"/></body></body></body>
+  </worldbody>
+  <actuator>
+    <position name="turn" joint="turn" kp="40" dampratio="0.7" inheritrange="0.9"/>
+    <position name="shift" joint="shift" kp="500" dampratio="1" gear="2" ctrlrange="0 0.1"/>
+    <general name="bend" joint="bend" gainprm="9" biastype="affine" biasprm="0.5 -9 0.6" ctrlrange="-1 1"/>
+    <general name="bent" joint="bend" gainprm="3" biastype="affine" biasprm="0 0 -0.2" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>
+"""
+
 FILES = {"parts/trough.obj": trough()}
-MODELS = {"primitives": PRIMITIVES, "classes": CLASSES, "meshes": MESHES}
+MODELS = {
+    "primitives": PRIMITIVES,
+    "classes": CLASSES,
+    "meshes": MESHES,
+    "bent": BENT,
+    "bounds": BOUNDS,
+    "servos": SERVOS,
+}
+
+ARM = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body pos="0 0 1"{body}><joint name="j1" axis="0 1 0" damping="0.2"{joint}/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="1" contype="0" conaffinity="0"/>
+      <body pos="0.3 0 0"{body}><joint name="j2" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  {sections}
+</mujoco>
+"""
+
+FLIGHT = """<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body pos="0 0 9"><joint name="root" type="free" damping="0.8" armature="0.3"{friction}/>
+      <geom type="box" size="0.1 0.2 0.3" mass="2" pos="{place}"/></body>
+  </worldbody>
+</mujoco>
+"""
+SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
+
+# Motions: a model, its velocities at the start, constant controls, and physics steps.
+MOTIONS = {
+    "damped flight": (FLIGHT.format(friction="", place="0 0 0"), SPIN, [], 500),
+    "damped flight off centre": (FLIGHT.format(friction="", place="0.1 0 0.05"), SPIN, [], 500),
+    "flight with dry friction": (
+        FLIGHT.format(friction=' frictionloss="0.3"', place="0 0 0"), [1, 0, 0.5, 0, 0, 0], [], 500),
+    "half the weight": (
+        ARM.format(body=' gravcomp="0.5"', joint="", sections=""), [], [], 300),
+    "limit with a margin": (
+        ARM.format(body="", joint=' range="-1 0.2" margin="0.15"', sections=""), [], [], 2000),
+    "two actuators": (
+        ARM.format(body="", joint="", sections="""<actuator>
+          <position joint="j1" kp="20" ctrlrange="-1 1"/><velocity joint="j1" kv="1" ctrlrange="-1 1"/>
+          <motor joint="j2" ctrlrange="-1 1"/></actuator>"""), [], [0.5, -0.3, 0.4], 300),
+}
 
 
 def links(model, data, with_base=False):
@@ -152,18 +246,43 @@ def joints(model, data):
             }
 
 
+def motors(model):
+    for index in range(model.nu):
+        yield {
+            "name": model.actuator(index).name,
+            "joint": model.joint(model.actuator_trnid[index][0]).name,
+            "gear": model.actuator_gear[index][0],
+            "gain": model.actuator_gainprm[index][0],
+            "bias": model.actuator_biasprm[index][:3].tolist(),
+            "range": model.actuator_ctrlrange[index].tolist(),
+        }
+
+
+def moved(mjcf, velocities, controls, steps):
+    """A motion from the rest pose: coordinates and velocities after the steps."""
+    model = mujoco.MjModel.from_xml_string(mjcf)
+    data = mujoco.MjData(model)
+    data.qvel[: len(velocities)] = velocities
+    data.ctrl[:] = controls
+    mujoco.mj_step(model, data, steps)
+    end = {"qpos": data.qpos.tolist(), "qvel": data.qvel.tolist()}
+    return {"mjcf": mjcf, "velocities": velocities, "controls": controls, "steps": steps, **end}
+
+
 def compiled(mjcf, files):
     assets = {pathlib.PurePath(name).name: text.encode() for name, text in files.items()}
     model = mujoco.MjModel.from_xml_string(mjcf, assets)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    return {"links": list(links(model, data)), "joints": list(joints(model, data))}
+    parts = {"links": links(model, data), "joints": joints(model, data), "motors": motors(model)}
+    return {name: list(part) for name, part in parts.items()}
 
 
 def main():
     out = pathlib.Path(__file__).resolve().parents[2] / "sim" / "tests" / "data" / "mujoco-models.json"
     models = {name: {"mjcf": mjcf, **compiled(mjcf, FILES)} for name, mjcf in MODELS.items()}
-    document = {"mujoco": mujoco.__version__, "files": FILES, "models": models}
+    motions = {name: moved(*motion) for name, motion in MOTIONS.items()}
+    document = {"mujoco": mujoco.__version__, "files": FILES, "models": models, "motions": motions}
     out.write_text(json.dumps(document, indent=1) + "\n")
 
 

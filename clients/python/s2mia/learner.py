@@ -13,7 +13,8 @@ from s2mia.connection import CALL_SECS, Connection, Tls
 from s2mia.name import check
 
 # Limit of every message, in both directions.
-MAX_MESSAGE_BYTES = 4 * 1024 * 1024
+# The description of a run is the largest message; the learner sends no other one of more than 4 MiB.
+MAX_DESCRIPTION_BYTES = 16 * 1024 * 1024
 # Limit of a snapshot.
 MAX_WEIGHTS_BYTES = 1 << 30
 # Version of the protocol that this package has, as in proto/src/lib.rs.
@@ -96,7 +97,7 @@ class Learner:
         """
         check(client, "the name of the client")
         options = [
-            ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+            ("grpc.max_receive_message_length", MAX_DESCRIPTION_BYTES),
             # A registration ends with its connection, so channels must not share connections.
             ("grpc.use_local_subchannel_pool", 1),
         ]

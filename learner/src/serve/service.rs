@@ -7,8 +7,9 @@ use std::time::Duration;
 use proto::wire::control_service_server::{self, ControlServiceServer};
 use proto::wire::learner_service_server::{self, LearnerService, LearnerServiceServer};
 use proto::{
-    ActorId, Heartbeat, Incarnation, LeaseId, MAX_LEASE_WAIT_MILLIS, MAX_MESSAGE_BYTES,
-    MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, ReturnedLease, WeightsName, wire,
+    ActorId, Heartbeat, Incarnation, LeaseId, MAX_DESCRIPTION_BYTES, MAX_LEASE_WAIT_MILLIS,
+    MAX_MESSAGE_BYTES, MAX_UNACKNOWLEDGED, Reason, Refusal, Registration, ReturnedLease,
+    WeightsName, wire,
 };
 use security::Role;
 use tokio::sync::{Semaphore, mpsc};
@@ -82,7 +83,7 @@ pub async fn serve(
     let learner = Learner { exchange, checks: Arc::new(Semaphore::new(cores)) };
     let learner = LearnerServiceServer::new(learner)
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
-        .max_encoding_message_size(MAX_MESSAGE_BYTES);
+        .max_encoding_message_size(MAX_DESCRIPTION_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<LearnerServiceServer<Learner>>().await;
     tokio::spawn(storage::follow(storage, reporter));

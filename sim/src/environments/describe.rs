@@ -5,24 +5,25 @@ use proto::{ActionSpec, AgentSpec, EnvironmentSpec};
 use crate::action_scale::ActionScale;
 use crate::config::ObservationConfig;
 use crate::observation::{self, Observation, contact_features};
-use crate::robot::Robot;
 use crate::state::{STATE_VERSION, StateBounds};
 use crate::task::Task;
 
 pub(super) fn describe(
     task: &Task,
-    agents: &[Vec<usize>],
     config: &ObservationConfig,
     bounds: &StateBounds,
 ) -> (EnvironmentSpec, Observation) {
     let robot = &task.robot;
     let mut state = task.rules.state_features(robot);
     state.extend(contact_features(robot, config.contact_forces));
-    let joints: Vec<&str> = robot.actuators().collect();
-    let driven: Vec<Vec<&str>> =
-        agents.iter().map(|motors| motors.iter().map(|&motor| joints[motor]).collect()).collect();
+    let joints: Vec<&str> = robot.actuators().map(|actuator| actuator.joint).collect();
+    let driven: Vec<Vec<&str>> = task
+        .agents
+        .iter()
+        .map(|motors| motors.iter().map(|&motor| joints[motor]).collect())
+        .collect();
     let observation = Observation::new(config, robot, &driven, &state);
-    let agents = agents.iter().enumerate().map(|(index, motors)| AgentSpec {
+    let agents = task.agents.iter().enumerate().map(|(index, motors)| AgentSpec {
         name: format!("agent_{index}"),
         joints: motors.iter().map(|&motor| joints[motor].to_owned()).collect(),
         observation: observation.features(index, &state),
@@ -48,15 +49,19 @@ pub(super) fn describe(
 pub(super) struct Driven {
     /// Index of the motor.
     pub(super) motor: usize,
+    /// Controls for the actions -1 and 1.
+    pub(super) range: [f32; 2],
     /// Map from the action to the motor's control.
     pub(super) scale: ActionScale,
 }
 
 impl Driven {
     /// Motors of all agents, in agent order, `[A]`.
-    pub(super) fn all(robot: &Robot, agents: &[Vec<usize>]) -> Vec<Self> {
-        let range = |motor: usize| robot.blueprint().motors[motor].range;
-        let driven = |&motor: &usize| Self { motor, scale: ActionScale::to(range(motor)) };
-        agents.iter().flatten().map(driven).collect()
+    pub(super) fn all(task: &Task) -> Vec<Self> {
+        let driven = |&motor: &usize| {
+            let range = task.controls.ranges[motor];
+            Self { motor, range, scale: ActionScale::to(range) }
+        };
+        task.agents.iter().flatten().map(driven).collect()
     }
 }

@@ -147,6 +147,7 @@ fn insert_link(
     let body = RigidBodyBuilder::dynamic()
         .pose(frame)
         .can_sleep(false)
+        .gravity_scale(link.gravity_scale)
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
     for (index, plan) in (first_shape..).zip(&link.shapes).filter(|_| !link.is_base()) {
@@ -274,11 +275,19 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
     robot.damping_mut().fill(0.0);
     robot.armature_mut().fill(0.0);
     for (link, map) in blueprint.links.iter().zip(&layout.joints) {
-        let JointPlan::Hinge(hinge) = &link.joint else { continue };
-        robot.damping_mut()[map.dof] = hinge.damping;
-        robot.armature_mut()[map.dof] = hinge.armature;
-        if let Law::Engine { .. } = blueprint.law {
-            robot.frictions_mut()[map.dof] = hinge.friction;
+        match &link.joint {
+            JointPlan::Hinge(hinge) => {
+                robot.damping_mut()[map.dof] = hinge.damping;
+                robot.armature_mut()[map.dof] = hinge.armature;
+                if let Law::Engine { .. } = blueprint.law {
+                    robot.frictions_mut()[map.dof] = hinge.friction;
+                }
+            }
+            JointPlan::Free(free) | JointPlan::Floating(free) => {
+                robot.damping_mut().rows_mut(map.dof, 6).fill(free.damping);
+                robot.armature_mut().rows_mut(map.dof, 6).fill(free.armature);
+            }
+            JointPlan::Fixed | JointPlan::Planar(_) => {}
         }
     }
 }

@@ -25,6 +25,8 @@ pub(crate) struct Blueprint {
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
     pub(crate) motors: Vec<MotorPlan>,
+    /// Keyframes in the order of the model.
+    pub(crate) keyframes: Vec<Keyframe>,
     /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
     pub(crate) bodies: Vec<String>,
     /// What MuJoCo simulates and this simulator leaves out, one sentence each.
@@ -41,6 +43,19 @@ pub(crate) enum Law {
     /// their inverse mass; [`ContactLaw`](crate::world::ContactLaw) applies the rest from the impulses of the last
     /// step. The published robots have it.
     Engine { compliance: f32 },
+}
+
+/// A state that the model names, in MuJoCo's coordinates. Each list may be empty, or have a wrong length.
+#[derive(Clone, Debug)]
+pub(crate) struct Keyframe {
+    /// Its name; its index without one.
+    pub(crate) name: String,
+    /// m and rad; quaternions w x y z.
+    pub(crate) positions: Vec<f64>,
+    /// m/s and rad/s; of a free joint's rotation in the axes of its body.
+    pub(crate) velocities: Vec<f64>,
+    /// Controls of the actuators.
+    pub(crate) controls: Vec<f64>,
 }
 
 /// A shape that is fixed to the world.
@@ -89,6 +104,8 @@ pub(crate) struct LinkPlan {
     pub(crate) rest: Pose,
     pub(crate) joint: JointPlan,
     pub(crate) mass: MassProperties,
+    /// Share of its weight that acts on it: 1 without MuJoCo's `gravcomp`.
+    pub(crate) gravity_scale: f32,
     pub(crate) shapes: Vec<ShapePlan>,
 }
 
@@ -112,13 +129,26 @@ pub(crate) enum JointPlan {
     Fixed,
     /// Translation along x and z and rotation about y, relative to the world.
     Planar(Planar),
-    /// All six degrees of freedom, relative to the world; the value is the joint's name. The link's mass centre is at its
-    /// origin: rapier moves a root without a joint about its origin.
-    Free(String),
+    /// All six degrees of freedom, relative to the world. The link's mass centre is at its origin: rapier moves a root
+    /// without a joint about its origin.
+    Free(FreeJoint),
     /// As `Free`, with the mass centre anywhere.
-    Floating(String),
+    Floating(FreeJoint),
     /// One rotation or translation relative to the parent link.
     Hinge(Hinge),
+}
+
+/// A free joint.
+#[derive(Clone, Debug)]
+pub(crate) struct FreeJoint {
+    pub(crate) name: String,
+    /// Damping of each of the six speeds, N s / m and N m s / rad.
+    pub(crate) damping: f32,
+    /// Inertia added to each of the six speeds, kg and kg m^2.
+    pub(crate) armature: f32,
+    /// Largest dry friction of each of the six speeds, N and N m; of the rotation about the axes of the link.
+    pub(crate) friction: f32,
+    pub(crate) friction_softness: Softness,
 }
 
 /// Joint names of the planar root (x, z, rotation about y) and offsets to the model's own coordinates.
@@ -147,6 +177,8 @@ pub(crate) struct Hinge {
     pub(crate) reference: f32,
     /// rad.
     pub(crate) range: Option<[f32; 2]>,
+    /// Distance from the range's ends at which they push, rad.
+    pub(crate) margin: f32,
     /// Softness of the range's ends.
     pub(crate) limit: Softness,
     /// N m / rad.
@@ -195,6 +227,8 @@ impl HingeAxis {
 /// A motor: torque = gear x force.
 #[derive(Clone, Debug)]
 pub(crate) struct MotorPlan {
+    /// Name of the actuator; that of its joint, with the kind of actuator if the joint has several, unless stated.
+    pub(crate) name: String,
     /// Name of the hinge that it drives.
     pub(crate) joint: String,
     /// Index of this hinge among all hinges, in the order of the links.
@@ -212,7 +246,8 @@ pub(crate) struct MotorPlan {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Servo {
     pub(crate) gain: f32,
-    /// The second number is for this crate's coordinate, which is zero in the rest pose.
+    /// The first number is for this crate's coordinate, which is zero in the rest pose. A positive third number of a servo of
+    /// the position is its damping ratio, until [`Layout`](super::Layout) gives the joint's inertia.
     pub(crate) bias: [f32; 3],
     pub(crate) range: Option<[f32; 2]>,
 }

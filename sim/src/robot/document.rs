@@ -1,12 +1,18 @@
 //! An MJCF document as a tree of elements with their lines. Included files are inlined and default classes applied.
 
+mod classes;
+
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::rc::Rc;
 
 use roxmltree::{Document, Node, ParsingOptions};
 
 use super::folder::Folder;
 use super::nesting::deepest;
+use crate::spelling;
+
+pub(in crate::robot) use classes::Classes;
 
 /// Most elements inside each other, those of included files counted where they are included.
 const DEEPEST_ELEMENT: usize = 200;
@@ -19,11 +25,29 @@ const MOST_NODES: u32 = 200_000;
 #[derive(Clone, Debug)]
 pub(super) struct Element {
     pub(super) tag: String,
+    /// `None` for an element that several elements of the document state together.
+    place: Option<Place>,
+    pub(super) attributes: BTreeMap<String, String>,
+    /// Where another element states an attribute of this one: the default of a class, or one of several elements.
+    stated: BTreeMap<String, Place>,
+    pub(super) children: Vec<Element>,
+}
+
+/// Start of an element in the document.
+#[derive(Clone, Debug)]
+struct Place {
     /// Included file that the element is in; `None` for the document itself.
     file: Option<Rc<str>>,
     line: u32,
-    pub(super) attributes: BTreeMap<String, String>,
-    pub(super) children: Vec<Element>,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.file {
+            Some(file) => write!(f, "{file} line {}", self.line),
+            None => write!(f, "line {}", self.line),
+        }
+    }
 }
 
 impl Element {
@@ -38,23 +62,65 @@ impl Element {
     }
 
     /// Error message for this element.
-    pub(super) fn refuse(&self, reason: impl std::fmt::Display) -> String {
-        let file = self.file.as_ref().map_or(String::new(), |file| format!("{file} "));
+    pub(super) fn refuse(&self, reason: impl fmt::Display) -> String {
+        format!("{}: {reason}", self.shown())
+    }
+
+    /// Error message for an attribute of this element. It names the element that states the attribute.
+    pub(super) fn refuse_for(&self, attribute: &str, reason: impl fmt::Display) -> String {
+        match (self.stated.get(attribute), &self.place) {
+            (None, _) => self.refuse(reason),
+            (Some(place), None) => format!("{place}, <{}>: {reason}", self.tag),
+            (Some(place), Some(_)) => {
+                format!("{place}, <{}>: {reason}; it is the default of {}", self.tag, self.shown())
+            }
+        }
+    }
+
+    fn shown(&self) -> String {
+        let place = self.place.as_ref().map_or(String::new(), |place| format!("{place}, "));
         let named = ["name", "file", "class", "joint"];
         let name = named.iter().find_map(|key| Some((key, self.attributes.get(*key)?)));
         let name = name.map_or(String::new(), |(key, value)| format!(" {key}=\"{value}\""));
-        format!("{file}line {}, <{}{name}>: {reason}", self.line, self.tag)
+        format!("{place}<{}{name}>", self.tag)
     }
 
     /// The element without its children.
     pub(super) fn alone(&self) -> Self {
-        self.with(self.attributes.clone())
+        Self { stated: self.stated.clone(), ..self.with(self.attributes.clone()) }
     }
 
     /// The element without its children and with other attributes.
     pub(super) fn with(&self, attributes: BTreeMap<String, String>) -> Self {
-        let (tag, file) = (self.tag.clone(), self.file.clone());
-        Self { tag, file, line: self.line, attributes, children: Vec::new() }
+        let (tag, place) = (self.tag.clone(), self.place.clone());
+        Self { tag, place, attributes, stated: BTreeMap::new(), children: Vec::new() }
+    }
+
+    /// An element of no place with the attributes of all these; the last one of a name counts.
+    pub(super) fn merged<'a>(tag: &str, elements: impl Iterator<Item = &'a Self>) -> Self {
+        let mut merged = Self {
+            tag: tag.to_owned(),
+            place: None,
+            attributes: BTreeMap::new(),
+            stated: BTreeMap::new(),
+            children: Vec::new(),
+        };
+        elements.for_each(|element| merged.overlay(element));
+        merged
+    }
+
+    /// Replaces attributes by those of `top`. An orientation replaces any other.
+    fn overlay(&mut self, top: &Self) {
+        if ORIENTATIONS.iter().any(|name| top.attributes.contains_key(*name)) {
+            ORIENTATIONS.iter().for_each(|name| drop(self.attributes.remove(*name)));
+        }
+        for (name, value) in &top.attributes {
+            self.attributes.insert(name.clone(), value.clone());
+            match top.stated.get(name).or(top.place.as_ref()) {
+                Some(place) => self.stated.insert(name.clone(), place.clone()),
+                None => self.stated.remove(name),
+            };
+        }
     }
 
     /// An attribute as text.
@@ -69,11 +135,17 @@ impl Element {
 
     /// Refuses attributes that are not in `known`.
     pub(super) fn only(&self, known: &[&[&str]]) -> Result<(), String> {
-        let known = |name: &str| known.iter().any(|names| names.contains(&name));
-        match self.attributes.keys().find(|name| !known(name)) {
-            None => Ok(()),
-            Some(name) => Err(self.refuse(format!("the attribute `{name}` is not supported"))),
-        }
+        let is_known = |name: &str| known.iter().any(|names| names.contains(&name));
+        let mut unknown = self.attributes.keys().filter(|name| !is_known(name));
+        let Some(first) = unknown.next() else { return Ok(()) };
+        let known = known.iter().flat_map(|names| names.iter().copied());
+        let hint = match spelling::nearest(first, known) {
+            Some(name) => format!("did you mean `{name}`?"),
+            None => "remove it".to_owned(),
+        };
+        let more: String = unknown.map(|name| format!(", nor is `{name}`")).collect();
+        let reason = format!("the attribute `{first}` is not supported{more}; {hint}");
+        Err(self.refuse_for(first, reason))
     }
 
     /// Numbers of an attribute, at least one.
@@ -87,7 +159,7 @@ impl Element {
             {
                 Ok(Some(numbers))
             }
-            _ => Err(self.refuse(format!("{name}=\"{text}\" must be finite numbers"))),
+            _ => Err(self.refuse_for(name, format!("{name}=\"{text}\" must be finite numbers"))),
         }
     }
 
@@ -97,7 +169,8 @@ impl Element {
         let found = list.len();
         let array = list
             .try_into()
-            .map_err(|_| self.refuse(format!("`{name}` must have {N} numbers, it has {found}")))?;
+            .map_err(|_| format!("`{name}` must have {N} numbers, it has {found}"))
+            .map_err(|reason| self.refuse_for(name, reason))?;
         Ok(Some(array))
     }
 
@@ -110,9 +183,8 @@ impl Element {
         let Some(list) = self.list(name)? else { return Ok(default) };
         if list.len() > N {
             let found = list.len();
-            return Err(
-                self.refuse(format!("`{name}` has {found} numbers, at most {N} are allowed"))
-            );
+            let reason = format!("`{name}` has {found} numbers, at most {N} are allowed");
+            return Err(self.refuse_for(name, reason));
         }
         default[..list.len()].copy_from_slice(&list);
         Ok(default)
@@ -127,7 +199,8 @@ impl Element {
     pub(super) fn integer(&self, name: &str, default: i64) -> Result<i64, String> {
         let Some(text) = self.text(name) else { return Ok(default) };
         let number = text.trim().parse();
-        number.map_err(|_| self.refuse(format!("{name}=\"{text}\" must be a whole number")))
+        let reason = |_| format!("{name}=\"{text}\" must be a whole number");
+        number.map_err(|error| self.refuse_for(name, reason(error)))
     }
 
     /// `true` or `false`; `None` without the attribute, or if it is `auto`.
@@ -136,7 +209,9 @@ impl Element {
             None | Some("auto") => Ok(None),
             Some("true" | "1" | "enable") => Ok(Some(true)),
             Some("false" | "0" | "disable") => Ok(Some(false)),
-            Some(word) => Err(self.refuse(format!("{name}=\"{word}\" must be true or false"))),
+            Some(word) => {
+                Err(self.refuse_for(name, format!("{name}=\"{word}\" must be true or false")))
+            }
         }
     }
 }
@@ -181,8 +256,8 @@ fn read(
     folder.count_element()?;
     let mut element = Element {
         tag: node.tag_name().name().to_owned(),
-        file: source.file.clone(),
-        line: source.line(node.range().start),
+        place: Some(Place { file: source.file.clone(), line: source.line(node.range().start) }),
+        stated: BTreeMap::new(),
         attributes: node
             .attributes()
             .map(|a| (a.name().to_owned(), a.value().to_owned()))
@@ -202,19 +277,20 @@ fn read(
     Ok(element)
 }
 
-/// Refuses prefixes, which could give an element two attributes of one name, and text, such as a tag without its `<`.
+/// Refuses prefixes, which could give an element two attributes of one name, and text with words, such as a tag without
+/// its `<`.
 fn check_plain(node: Node<'_, '_>, element: &Element) -> Result<(), String> {
     let root = node.document().root_element().tag_name();
     let prefixed = node.attributes().find(|attribute| attribute.namespace().is_some());
     if prefixed.is_some() || node.tag_name().namespace() != root.namespace() {
-        return Err(element.refuse("names with a prefix are not supported"));
+        return Err(element.refuse("names with a prefix are not supported; remove it"));
     }
     let texts = node.children().filter_map(|child| child.text().filter(|_| child.is_text()));
-    match texts.map(str::trim).find(|text| !text.is_empty()) {
+    match texts.map(str::trim).find(|text| text.contains(char::is_alphanumeric)) {
         None => Ok(()),
         Some(text) => {
             let start: String = text.chars().take(40).collect();
-            Err(element.refuse(format!("text between elements has no meaning: {start}")))
+            Err(element.refuse(format!("text between elements has no meaning, remove it: {start}")))
         }
     }
 }
@@ -252,108 +328,6 @@ fn included(
 
 /// Attributes that state an orientation. An element's own replaces that of its class.
 pub(super) const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxes", "zaxis"];
-/// Actuators share one default, whatever their tag.
-const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
-const MAIN: &str = "main";
-/// Elements with defaults.
-const DEFAULTS: [&str; 18] = [
-    "mesh",
-    "material",
-    "joint",
-    "geom",
-    "site",
-    "camera",
-    "light",
-    "pair",
-    "equality",
-    "tendon",
-    "general",
-    "motor",
-    "position",
-    "velocity",
-    "damper",
-    "intvelocity",
-    "cylinder",
-    "muscle",
-];
-
-/// Default classes: attributes by tag, with those of the parent classes.
-#[derive(Debug)]
-pub(super) struct Classes(BTreeMap<String, BTreeMap<String, BTreeMap<String, String>>>);
-
-impl Classes {
-    /// Reads all `default` elements of a document.
-    pub(super) fn new(root: &Element) -> Result<Self, String> {
-        let mut classes = Self(BTreeMap::from([(MAIN.to_owned(), BTreeMap::new())]));
-        for default in root.all("default") {
-            let main = classes.0.remove(MAIN).unwrap_or_default();
-            classes.add(default, MAIN, main)?;
-        }
-        // All outermost elements describe the main class, which then has their names too.
-        let main = classes.0.get(MAIN).cloned().unwrap_or_default();
-        let names: BTreeSet<&str> =
-            root.all("default").filter_map(|default| default.text("class")).collect();
-        for name in names.into_iter().filter(|name| *name != MAIN) {
-            if classes.0.insert(name.to_owned(), main.clone()).is_some() {
-                return Err(format!("two defaults have the class `{name}`"));
-            }
-        }
-        Ok(classes)
-    }
-
-    fn add(
-        &mut self,
-        default: &Element,
-        name: &str,
-        mut class: BTreeMap<String, BTreeMap<String, String>>,
-    ) -> Result<(), String> {
-        default.only(&[&["class"]])?;
-        for child in default.children.iter().filter(|child| child.tag != "default") {
-            if !DEFAULTS.contains(&child.tag.as_str()) {
-                return Err(child.refuse("this element is not supported"));
-            }
-            overlay(class.entry(slot(&child.tag).to_owned()).or_default(), &child.attributes);
-        }
-        for child in default.all("default") {
-            let name = child.text("class").ok_or_else(|| child.refuse("it has no `class`"))?;
-            self.add(child, name, class.clone())?;
-        }
-        match self.0.insert(name.to_owned(), class) {
-            None => Ok(()),
-            Some(_) => Err(format!("two defaults have the class `{name}`")),
-        }
-    }
-
-    /// An element with the attributes of its class: its own `class`, else `childclass`, else the main class. It has no
-    /// children.
-    pub(super) fn resolve(
-        &self,
-        element: &Element,
-        childclass: Option<&str>,
-    ) -> Result<Element, String> {
-        let name = element.text("class").or(childclass).unwrap_or(MAIN);
-        let class = self.0.get(name);
-        let class =
-            class.ok_or_else(|| element.refuse(format!("no default has the class `{name}`")))?;
-        if let Some(child) = element.children.first() {
-            return Err(child.refuse("this element is not supported"));
-        }
-        let mut attributes = class.get(slot(&element.tag)).cloned().unwrap_or_default();
-        overlay(&mut attributes, &element.attributes);
-        Ok(element.with(attributes))
-    }
-}
-
-fn slot(tag: &str) -> &str {
-    if ACTUATORS.contains(&tag) { "actuator" } else { tag }
-}
-
-fn overlay(base: &mut BTreeMap<String, String>, top: &BTreeMap<String, String>) {
-    if ORIENTATIONS.iter().any(|name| top.contains_key(*name)) {
-        ORIENTATIONS.iter().for_each(|name| drop(base.remove(*name)));
-    }
-    base.extend(top.iter().map(|(name, value)| (name.clone(), value.clone())));
-}
 
 /// Refuses a second element with the same name.
 pub(super) fn check_names<'a>(elements: impl Iterator<Item = &'a Element>) -> Result<(), String> {
@@ -362,7 +336,7 @@ pub(super) fn check_names<'a>(elements: impl Iterator<Item = &'a Element>) -> Re
         if let Some(name) = element.text("name")
             && !names.insert(name)
         {
-            return Err(element.refuse("another element has the same name"));
+            return Err(element.refuse("another element has the same name; rename one"));
         }
     }
     Ok(())

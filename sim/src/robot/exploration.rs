@@ -15,19 +15,13 @@ const SMALLEST_TARGET: f32 = 0.01;
 
 impl Robot {
     /// Motors that a policy can hardly explore: one sentence each with the joint, the reason and what to change.
-    pub fn hard_to_explore(&self) -> Vec<String> {
+    pub(crate) fn hard_to_explore(&self) -> Vec<String> {
         let about = |motor: &MotorPlan| {
             let hinge = &self.layout.hinges[motor.hinge];
             let drive = Drive { motor, hinge, step_secs: self.physics_step_secs() as f32 };
             drive.fault().map(|why| format!("the motor of `{}` {why}", motor.joint))
         };
-        let second = self.actuators().enumerate().filter(|(index, joint)| {
-            self.actuators().position(|other| other == *joint) != Some(*index)
-        });
-        let second = second.map(|(_, joint)| {
-            format!("`{joint}` has a second motor, which gets no actions: keep one")
-        });
-        self.blueprint.motors.iter().filter_map(about).chain(second).collect()
+        self.blueprint.motors.iter().filter_map(about).collect()
     }
 }
 
@@ -203,9 +197,6 @@ mod tests {
                 "{hints:?}"
             );
         }
-        let hip = "<motor joint=\"hip\" gear=\"80\"/>";
-        let twice = hints(&format!("{hip}{hip}"));
-        assert_eq!(twice, ["`hip` has a second motor, which gets no actions: keep one"]);
     }
 
     #[test]

@@ -90,6 +90,13 @@ impl Solid {
         turned
     }
 
+    /// The part with at least this mass, kg, and these principal moments, kg m^2.
+    pub(super) fn at_least(&self, mass: f64, inertia: f64) -> Self {
+        let (moments, frame) = principal_axes(self.inertia);
+        let raised = Self::principal(self.mass.max(mass), moments.map(|own| own.max(inertia)));
+        Self { centre: self.centre, ..raised.turned(numbers(frame)) }
+    }
+
     /// Principal moments, kg m^2.
     pub(super) fn principal_moments(&self) -> [f64; 3] {
         principal_axes(self.inertia).0

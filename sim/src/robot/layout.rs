@@ -3,7 +3,7 @@
 use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
-use super::blueprint::{Blueprint, Hinge, JointPlan, LinkPlan, Motion};
+use super::blueprint::{Blueprint, FreeJoint, Hinge, JointPlan, LinkPlan, Motion};
 
 /// Largest speed in a state, m/s or rad/s: ten times the speeds that the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
@@ -29,6 +29,8 @@ pub(crate) struct Layout {
     pub(crate) coordinate_bounds: Vec<[f32; 2]>,
     pub(crate) reference: Vec<f32>,
     pub(crate) rest: Vec<f32>,
+    /// Dry friction of a free root, if it has any.
+    pub(crate) free_friction: Option<FreeFriction>,
     /// First coordinate of the free root's quaternion (w x y z), if any.
     pub(crate) orientation: Option<usize>,
 }
@@ -78,6 +80,18 @@ pub(crate) struct HingeMap {
     pub(crate) inverse_inertia: f32,
 }
 
+/// Dry friction of a free root.
+#[derive(Clone, Debug)]
+pub(crate) struct FreeFriction {
+    pub(crate) plan: FreeJoint,
+    /// Index of the link among all links.
+    pub(crate) link: usize,
+    /// First row of its velocities in the multibody.
+    pub(crate) dof: usize,
+    /// Mean inverse mass and inertia over three directions, in the rest pose, 1/kg and 1/(kg m^2).
+    pub(crate) inverses: [f64; 2],
+}
+
 impl HingeMap {
     /// Units of its coordinate and of its torque; a slide has a force.
     pub(crate) fn units(&self) -> [&'static str; 2] {
@@ -89,6 +103,13 @@ impl HingeMap {
 }
 
 impl Layout {
+    /// First coordinate in a state of the hinge with this index.
+    pub(crate) fn hinge_coordinate(&self, hinge: usize) -> usize {
+        let hinges = self.joints.iter().filter(|joint| matches!(joint.kind, MapKind::Hinge { .. }));
+        let found = hinges.map(|joint| joint.coordinate).nth(hinge);
+        found.expect("hinges have the indices of the layout")
+    }
+
     /// Computes inverse masses and inertias in the current pose of `robot`.
     pub(super) fn set_inverse_masses(
         &mut self,
@@ -99,6 +120,16 @@ impl Layout {
         let inverse_inertias = robot.dof_inverse_inertia(bodies);
         for hinge in &mut self.hinges {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];
+        }
+        for (index, (plan, joint)) in blueprint.links.iter().zip(&self.joints).enumerate() {
+            if let JointPlan::Free(free) | JointPlan::Floating(free) = &plan.joint
+                && free.friction > 0.0
+            {
+                let mean = |first: usize| inverse_inertias.rows(joint.dof + first, 3).mean();
+                let inverses = [0, 3].map(|first| f64::from(mean(first)));
+                let (link, dof) = (index, joint.dof);
+                self.free_friction = Some(FreeFriction { plan: free.clone(), link, dof, inverses });
+            }
         }
         let inverse_mass = |joint: &JointMap| {
             let jacobian = robot.body_jacobian(joint.link);
@@ -151,6 +182,7 @@ impl Layout {
             coordinate_bounds: Vec::new(),
             reference: Vec::new(),
             rest: Vec::new(),
+            free_friction: None,
             orientation: None,
         }
     }
@@ -166,12 +198,12 @@ impl Layout {
                 MapKind::Planar
             }
             JointPlan::Fixed => MapKind::Fixed,
-            JointPlan::Free(name) => {
-                self.add_free(name, plan);
+            JointPlan::Free(joint) => {
+                self.add_free(&joint.name, plan);
                 MapKind::Free
             }
-            JointPlan::Floating(name) => {
-                self.add_free(name, plan);
+            JointPlan::Floating(joint) => {
+                self.add_free(&joint.name, plan);
                 MapKind::Floating
             }
             JointPlan::Hinge(hinge) => {

@@ -27,7 +27,8 @@ pub(super) struct Mesh {
 /// Volume whose mass a mesh has: MuJoCo's `inertia` of meshes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Volume {
-    /// All pyramids between the surface's centroid and its triangles, counted as positive.
+    /// All pyramids between a point and the triangles, counted as positive: the surface's centroid gives the mass centre,
+    /// the mass centre gives mass and inertia.
     Legacy,
     /// The enclosed volume.
     Exact,
@@ -134,6 +135,8 @@ impl Mesh {
             }
         }
         let mut moments: Matrix = [[0.0; 3]; 3];
+        // As in MuJoCo, mass and inertia are those of the pyramids on the mass centre.
+        let mass = pyramids(centre).map(|(_, volume)| volume).sum();
         for (corners, part) in pyramids(centre) {
             add_moments(&mut moments, &corners, part);
         }

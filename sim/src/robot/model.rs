@@ -2,11 +2,13 @@
 //! cannot be built are errors with their line.
 
 mod actuators;
+mod blockers;
 mod bodies;
 mod context;
 mod flat;
 mod geoms;
 mod joints;
+mod keyframes;
 mod links;
 mod meshes;
 mod options;
@@ -24,11 +26,17 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let root = Element::parse(mjcf, folder)?;
     let (mut context, mut left_out) = Context::read(&root)?;
     let mut bodies = bodies::flat(&root, &context)?;
-    let grounds = bodies::take_grounds(&mut bodies, &mut context, folder)?;
+    let grounds = bodies::take_grounds(&mut bodies, &mut context, folder);
     let mut links = links::read(&bodies, &mut context, folder)?;
-    note_contacts(&bodies, &mut left_out);
-    let motors = actuators::read(&root, &context, &links)?;
-    links.masses_to_links(context.options.total_mass)?;
+    if context.options.has_contacts {
+        note_contacts(&bodies, &mut left_out);
+    }
+    if context.blockers.is_empty() {
+        links.masses_to_links(context.options.total_mass)?;
+    }
+    let motors = actuators::read(&root, &context, &bodies, &links);
+    let keyframes = keyframes::read(&root, &context.blockers);
+    context.blockers.finish()?;
     Ok(Blueprint {
         timestep_secs: context.options.timestep_secs,
         gravity: context.options.gravity,
@@ -38,6 +46,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         law: Law::Constraints,
         links: links.plans,
         motors,
+        keyframes,
         bodies: bodies.into_iter().map(|body| body.name).collect(),
         left_out,
     })

@@ -81,9 +81,9 @@ impl Surface {
             return Err(element.refuse("`friction`, `margin` and `solmix` must not be negative"));
         }
         if ![1, 3, 4, 6].contains(&surface.dimensions) {
-            return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
+            return Err(element.refuse_for("condim", "`condim` must be 1, 3, 4 or 6"));
         }
-        Softness::check(surface.solref).map_err(|reason| element.refuse(reason))?;
+        Softness::check(surface.solref).map_err(|reason| element.refuse_for("solref", reason))?;
         Ok(surface)
     }
 

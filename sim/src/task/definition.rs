@@ -35,6 +35,9 @@ pub(crate) struct TaskFile {
     /// Noise on the rest pose.
     #[serde(default)]
     pub(crate) start: StartRow,
+    /// Map from actions to controls.
+    #[serde(default)]
+    pub(crate) actions: ActionsRow,
     /// Features of the global state.
     #[serde(default)]
     pub(crate) state: StateRow,
@@ -82,11 +85,13 @@ pub(crate) enum TermName {
     ActionRate,
 }
 
-/// Range of a coordinate, in the model's own frame, m or rad.
+/// Range of a coordinate, in the model's own frame, m or rad, or of a feature.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct HealthyRow {
-    pub(crate) coordinate: String,
+    pub(crate) coordinate: Option<String>,
+    /// A feature of the global state, or `upright`.
+    pub(crate) feature: Option<String>,
     /// Lower bound, excluded.
     pub(crate) above: Option<f32>,
     /// Lower bound, included.
@@ -101,6 +106,8 @@ pub(crate) struct HealthyRow {
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct StartRow {
+    /// Keyframe of the model whose positions, velocities and controls replace the rest pose.
+    pub(crate) keyframe: Option<String>,
     /// Values of coordinates instead of those of the rest pose, m or rad.
     #[serde(default)]
     pub(crate) coordinates: BTreeMap<String, f32>,
@@ -108,6 +115,26 @@ pub(crate) struct StartRow {
     pub(crate) positions: Option<Noise>,
     /// Noise on each velocity, m/s or rad/s.
     pub(crate) velocities: Option<Noise>,
+}
+
+/// Map from actions to controls.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct ActionsRow {
+    pub(crate) around: Around,
+    /// Change of a servo's control for an action of 1, in the control's unit; absent: half its range.
+    pub(crate) scale: Option<f32>,
+}
+
+/// Control for an action of 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Around {
+    /// The middle of its range.
+    #[default]
+    Range,
+    /// That of the keyframe of the start; without one, the control with which a servo of the position holds the start.
+    Start,
 }
 
 /// A distribution around 0.

@@ -5,6 +5,9 @@ use crate::error::SimError;
 use crate::robot::Robot;
 use crate::spelling;
 
+/// Most names that a message lists.
+const MOST_NAMED: usize = 100;
+
 /// Known names of one kind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Names<'a> {
@@ -29,7 +32,18 @@ impl<'a> Names<'a> {
         found.ok_or_else(|| {
             let nearest = spelling::nearest(name, self.known.iter().map(String::as_str));
             let hint = nearest.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default();
-            refused(format!("{place}: the robot has no {} `{name}`{hint}", self.kind))
+            let known = self.list();
+            refused(format!("{place}: the robot has no {} `{name}`{hint}; {known}", self.kind))
         })
+    }
+
+    /// What is known, for messages.
+    fn list(&self) -> String {
+        let known: Vec<&str> = self.known.iter().take(MOST_NAMED).map(String::as_str).collect();
+        match (known.is_empty(), self.known.len() - known.len()) {
+            (true, _) => "it has none".to_owned(),
+            (false, 0) => format!("it has {}", known.join(", ")),
+            (false, more) => format!("it has {} and {more} more", known.join(", ")),
+        }
     }
 }

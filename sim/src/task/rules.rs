@@ -7,10 +7,10 @@ use rapier3d::math::{Rotation, Vector};
 use super::Motion;
 use super::definition::{Axes, HealthyRow, Noise, StartRow, TaskFile, refused, within};
 use super::names::Names;
-use super::terms::{Transition, WeightedSum};
+use super::terms::{self, RootTilt, Transition, WeightedSum};
 use crate::error::SimError;
 use crate::noise;
-use crate::robot::Robot;
+use crate::robot::{Keyframe, Robot};
 
 /// Largest draw of the standard normal distribution in [`noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
 const FARTHEST_NORMAL: f32 = 5.77;
@@ -20,12 +20,27 @@ const LARGEST_TURN: f32 = 0.25;
 const LARGEST_TURN_FROM_REST: f32 = 0.5;
 
 /// The start of an episode, with names resolved to indices.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Start {
     /// Coordinates that differ from the rest pose.
     coordinates: Vec<(usize, f32)>,
+    /// Velocities that are not 0.
+    speeds: Vec<(usize, f32)>,
+    /// Controls of a keyframe, in the order of the model's actuators; empty without any.
+    controls: Vec<f32>,
     positions: Option<Noise>,
     velocities: Option<Noise>,
+}
+
+/// A number that ends an episode.
+#[derive(Clone, Copy, Debug)]
+enum Watched {
+    /// Index of a coordinate.
+    Coordinate(usize),
+    /// Index of a feature of the global state.
+    Feature(usize),
+    /// Cosine of the root's tilt.
+    Upright(RootTilt),
 }
 
 /// Rules of an episode, with all names resolved to indices.
@@ -34,7 +49,7 @@ pub(crate) struct Rules {
     start: Start,
     reward: WeightedSum,
     cost: WeightedSum,
-    healthy: Vec<(usize, HealthyRow)>,
+    healthy: Vec<(Watched, HealthyRow)>,
     /// Coordinates in the global state.
     shown: Vec<usize>,
     largest_velocity: Option<f32>,
@@ -50,15 +65,11 @@ impl Rules {
     pub(super) fn new(file: &TaskFile, robot: &Robot) -> Result<Self, SimError> {
         let names = Names::coordinates(robot);
         let orientation = robot.layout().orientation;
-        let rules = Self {
+        let mut rules = Self {
             start: checked_start(&file.start, names, robot)?,
             reward: WeightedSum::new("reward", &file.reward, robot)?,
             cost: WeightedSum::new("cost", &file.cost, robot)?,
-            healthy: file
-                .healthy
-                .iter()
-                .map(|row| checked_healthy(row, names))
-                .collect::<Result<_, _>>()?,
+            healthy: Vec::new(),
             shown: shown(&file.state.hidden, names, robot)?,
             largest_velocity: file.state.largest_velocity,
             orientation,
@@ -76,7 +87,24 @@ impl Rules {
         if let Some(largest) = rules.largest_velocity {
             within("state.largest_velocity", largest, 1e-3, 1e6)?;
         }
+        let features = rules.state_features(robot).into_iter().map(|feature| feature.name);
+        let features: Vec<String> = features.collect();
+        let healthy = file.healthy.iter().map(|row| checked_healthy(row, robot, &features));
+        rules.healthy = healthy.collect::<Result<_, _>>()?;
         Ok(rules)
+    }
+
+    /// Coordinates `[nq]` and velocities `[nv]` of the start without noise.
+    pub(crate) fn start_pose(&self, robot: &Robot) -> (Vec<f32>, Vec<f32>) {
+        let mut coordinates = robot.rest().to_vec();
+        let mut velocities = vec![0.0; robot.velocity_names().len()];
+        self.start.apply(&mut coordinates, &mut velocities);
+        (coordinates, velocities)
+    }
+
+    /// The control of a motor in the keyframe of the start, if it has controls.
+    pub(super) fn start_control(&self, motor: usize) -> Option<f32> {
+        self.start.controls.get(motor).copied()
     }
 
     /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise. A
@@ -87,7 +115,7 @@ impl Rules {
         coordinates: &mut [f32],
         velocities: &mut [f32],
     ) {
-        self.start.coordinates.iter().for_each(|(index, value)| coordinates[*index] = *value);
+        self.start.apply(coordinates, velocities);
         if let Some(distribution) = self.start.positions {
             coordinates.iter_mut().for_each(|number| *number += draw(distribution, rng));
         }
@@ -107,9 +135,15 @@ impl Rules {
         self.reward.value(step) - self.cost.value(step)
     }
 
-    /// Whether the episode terminates for a reason other than its length: a coordinate has left its healthy range.
-    pub(crate) fn terminated(&self, after: &Motion<'_>) -> bool {
-        !self.healthy.iter().all(|(index, row)| row.holds(after.position(*index)))
+    /// Whether the episode terminates for a reason other than its length: a number has left its healthy range. `state` is
+    /// the global state.
+    pub(crate) fn terminated(&self, after: &Motion<'_>, state: &[f32]) -> bool {
+        let value = |watched: &Watched| match *watched {
+            Watched::Coordinate(index) => after.position(index),
+            Watched::Feature(index) => state[index],
+            Watched::Upright(root) => terms::upright(after, root),
+        };
+        !self.healthy.iter().all(|(watched, row)| row.holds(value(watched)))
     }
 
     /// Whether contact forces can be observed.
@@ -151,6 +185,13 @@ impl Rules {
     }
 }
 
+impl Start {
+    fn apply(&self, coordinates: &mut [f32], velocities: &mut [f32]) {
+        self.coordinates.iter().for_each(|(index, value)| coordinates[*index] = *value);
+        self.speeds.iter().for_each(|(index, value)| velocities[*index] = *value);
+    }
+}
+
 impl HealthyRow {
     fn holds(&self, value: f32) -> bool {
         self.above.is_none_or(|bound| bound < value)
@@ -170,14 +211,21 @@ fn draw(distribution: Noise, rng: &mut impl RngCore) -> f32 {
 /// Refuses a start that could leave the bounds of a state.
 fn checked_start(row: &StartRow, names: Names<'_>, robot: &Robot) -> Result<Start, SimError> {
     let bounds = robot.state_bounds(1);
-    let index = |(name, value): (&String, &f32)| {
-        names.index("start.coordinates", name).map(|index| (index, *value))
+    let mut start = match &row.keyframe {
+        Some(name) => start_of_keyframe(name, robot)?,
+        None => Start::default(),
     };
-    let start = Start {
-        coordinates: row.coordinates.iter().map(index).collect::<Result<_, _>>()?,
-        positions: row.positions,
-        velocities: row.velocities,
-    };
+    (start.positions, start.velocities) = (row.positions, row.velocities);
+    for (name, value) in &row.coordinates {
+        let index = names.index("start.coordinates", name)?;
+        start.coordinates.push((index, value - robot.reference()[index]));
+    }
+    if let Some((index, speed)) =
+        start.speeds.iter().find(|(_, speed)| speed.abs() > bounds.fastest)
+    {
+        let name = &robot.velocity_names()[*index];
+        return Err(refused(format!("start.keyframe: the speed of `{name}` is {speed}")));
+    }
     farthest("start.velocities", start.velocities, bounds.fastest)?;
     let reach = farthest("start.positions", start.positions, bounds.fastest)?;
     let mut pose = robot.rest().to_vec();
@@ -200,6 +248,43 @@ fn checked_start(row: &StartRow, names: Names<'_>, robot: &Robot) -> Result<Star
     Ok(start)
 }
 
+/// The start that a keyframe of the model states.
+fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
+    let keyframes = &robot.blueprint().keyframes;
+    let known: Vec<String> = keyframes.iter().map(|keyframe| keyframe.name.clone()).collect();
+    let index = Names::new("keyframe", &known).index("start.keyframe", name)?;
+    let Keyframe { positions, velocities, controls, .. } = &keyframes[index];
+    let motors = robot.blueprint().motors.len();
+    for (key, list, count) in [
+        ("qpos", positions, robot.rest().len()),
+        ("qvel", velocities, robot.velocity_names().len()),
+        ("ctrl", controls, motors),
+    ] {
+        let found = list.len();
+        if found != count && found != 0 {
+            let why = format!("`{key}` has {found} numbers, the robot has {count}");
+            return Err(refused(format!("start.keyframe: the {why}")));
+        }
+    }
+    let single = |list: &[f64]| list.iter().map(|number| *number as f32).collect::<Vec<_>>();
+    let mut speeds = single(velocities);
+    // MuJoCo has the angular velocity of a free root in the root's axes.
+    if let (Some(first), [.., _]) = (robot.layout().orientation, speeds.as_slice()) {
+        let [w, x, y, z] = std::array::from_fn(|k| {
+            positions.get(first + k).map_or(robot.rest()[first + k], |number| *number as f32)
+        });
+        let turning = Rotation::from_xyzw(x, y, z, w) * Vector::from_slice(&speeds[3..6]);
+        speeds[3..6].copy_from_slice(&turning.to_array());
+    }
+    let positions = single(positions).into_iter().zip(robot.reference()).map(|(at, by)| at - by);
+    Ok(Start {
+        coordinates: positions.enumerate().collect(),
+        speeds: speeds.into_iter().enumerate().collect(),
+        controls: single(controls),
+        ..Start::default()
+    })
+}
+
 /// The largest noise that a distribution draws.
 fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32, SimError> {
     let (size, factor) = match distribution {
@@ -211,9 +296,26 @@ fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32,
 }
 
 /// Refuses a condition without bounds, or one that no value meets.
-fn checked_healthy(row: &HealthyRow, names: Names<'_>) -> Result<(usize, HealthyRow), SimError> {
-    let place = format!("healthy.{}", row.coordinate);
-    let index = names.index("healthy.coordinate", &row.coordinate)?;
+fn checked_healthy(
+    row: &HealthyRow,
+    robot: &Robot,
+    features: &[String],
+) -> Result<(Watched, HealthyRow), SimError> {
+    let (watched, name) = match (&row.coordinate, &row.feature) {
+        (Some(name), None) => {
+            let index = Names::coordinates(robot).index("healthy.coordinate", name)?;
+            (Watched::Coordinate(index), name)
+        }
+        (None, Some(name)) if name == "upright" => {
+            (Watched::Upright(terms::root_tilt("healthy.upright", robot)?), name)
+        }
+        (None, Some(name)) => {
+            let names = Names::new("feature in its global state", features);
+            (Watched::Feature(names.index("healthy.feature", name)?), name)
+        }
+        _ => return Err(refused("healthy needs either a `coordinate` or a `feature`")),
+    };
+    let place = format!("healthy.{name}");
     let given = [row.above, row.at_least, row.below, row.at_most].into_iter().flatten();
     let (numbers, mut bounds) = (given.clone().count(), given);
     if numbers == 0 {
@@ -226,7 +328,7 @@ fn checked_healthy(row: &HealthyRow, names: Names<'_>) -> Result<(usize, Healthy
     let low = row.above.into_iter().chain(row.at_least).fold(f32::NEG_INFINITY, f32::max);
     let high = row.below.into_iter().chain(row.at_most).fold(f32::INFINITY, f32::min);
     if low < high {
-        Ok((index, row.clone()))
+        Ok((watched, row.clone()))
     } else {
         Err(refused(format!("{place}: the lower bound {low} is not below {high}")))
     }

@@ -66,11 +66,11 @@ pub(super) fn target_distance(step: &Transition<'_>, target: &[(usize, f32)]) ->
 }
 
 /// Cosine of the angle between the root's z axis and the vertical after the step: 1 upright, -1 upside down; no unit.
-pub(super) fn upright(step: &Transition<'_>, root: RootTilt) -> f32 {
+pub(super) fn upright(motion: &Motion<'_>, root: RootTilt) -> f32 {
     match root {
-        RootTilt::Planar(pitch) => libm::cosf(step.after.position(pitch)),
+        RootTilt::Planar(pitch) => libm::cosf(motion.position(pitch)),
         RootTilt::Free(quaternion) => {
-            let [x, y] = [1, 2].map(|k| step.after.position(quaternion + k));
+            let [x, y] = [1, 2].map(|k| motion.position(quaternion + k));
             1.0 - 2.0 * (x * x + y * y)
         }
     }
@@ -82,7 +82,7 @@ pub(super) fn in_range(step: &Transition<'_>, coordinate: usize, [low, high]: [f
 }
 
 /// `sum (c - c_last)^2` over the controls of all agents' motors before clamping, in squared units of control.
-/// `c_last` is 0 in the first step of an episode.
+/// `c_last` is 0 in the first step of an episode, or the start's controls with `actions.around = "start"`.
 pub(super) fn action_rate(step: &Transition<'_>) -> f32 {
     let changes = step.control.iter().zip(step.last_control);
     changes.map(|(now, last)| (now - last) * (now - last)).sum()
@@ -99,7 +99,7 @@ impl Term {
             Self::Alive => alive(),
             Self::Control => control(step),
             Self::TargetDistance { target } => target_distance(step, target),
-            Self::Upright { root } => upright(step, *root),
+            Self::Upright { root } => upright(&step.after, *root),
             Self::InRange { coordinate, range } => in_range(step, *coordinate, *range),
             Self::ActionRate => action_rate(step),
         }
@@ -219,7 +219,7 @@ fn ascending(place: &str, range: [f32; 2]) -> Result<[f32; 2], SimError> {
     }
 }
 
-fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError> {
+pub(super) fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError> {
     let layout = robot.layout();
     match (layout.orientation, layout.joints.first().map(|joint| joint.kind)) {
         (Some(quaternion), _) => Ok(RootTilt::Free(quaternion)),

@@ -1,5 +1,7 @@
 //! Task files: the example, the terms by hand, and refusals.
 
+mod starts;
+
 use super::*;
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
 use crate::environment_batch::{EnvironmentBatch, Outcome};
@@ -74,25 +76,6 @@ fn the_example_task_runs_and_terminates_without_control() {
         assert!(steps < 500 && !outcome[0].truncated && !outcome[0].fault);
     }
     assert!(steps > 10);
-}
-
-#[test]
-fn an_episode_starts_at_the_stated_coordinates() {
-    let file = changed(
-        "positions = { uniform = 0.005 }",
-        "coordinates = { rootz = 0.1, knee = -0.4 }\npositions = { uniform = 0.005 }",
-    );
-    let mut world = hopper(&file);
-    world.reset(0, 0, 1000, [1; 32]).unwrap();
-    let features = world.description().state.iter().map(|feature| feature.name.clone());
-    let features: Vec<String> = features.collect();
-    let mut state = vec![0.0; features.len()];
-    world.state(0, &mut state);
-    for (name, stated) in [("rootz", 0.1), ("rooty", 0.0), ("hip", 0.0), ("knee", -0.4)] {
-        let name = format!("{name}.position");
-        let value = state[features.iter().position(|feature| *feature == name).unwrap()];
-        assert!((value - stated).abs() <= 0.005 && value != stated, "{name}: {value}");
-    }
 }
 
 #[test]
@@ -368,28 +351,4 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         assert!(parts.iter().all(|part| message.contains(part)), "{to}: {message}");
         assert!(!message.contains('\n'), "{message}");
     }
-}
-
-#[test]
-fn a_start_outside_the_bounds_of_a_state_is_refused() {
-    for (start, part) in [
-        ("positions = { uniform = -1 }", "start.positions must lie in"),
-        ("positions = { uniform = 9.0 }", "the start moves `hip` out of"),
-        ("coordinates = { hipp = 0.1 }", "did you mean `hip`?"),
-        ("coordinates = { knee = nan }", "the start moves `knee` out of"),
-    ] {
-        let message = refusal(&changed("positions = { uniform = 0.005 }", start));
-        assert!(message.contains(part) && !message.contains('\n'), "{start}: {message}");
-    }
-}
-
-#[test]
-fn a_second_motor_on_a_joint_is_refused() {
-    let mut config = config(HOPPER, ObservationMode::FullId);
-    let definition = config.definition.as_mut().unwrap();
-    let (from, to) = ("</actuator>", "<velocity joint=\"knee\" ctrlrange=\"-1 1\"/></actuator>");
-    assert!(definition.model.contains(from));
-    definition.model = definition.model.replacen(from, to, 1);
-    let line = environments(&config, 1).err().unwrap().to_string();
-    assert!(line.contains("the joint `knee` has more than one motor"), "{line}");
 }

@@ -16,7 +16,9 @@ use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::{PairFilterContext, PhysicsHooks, PhysicsWorld, SolverFlags};
 
 use super::place;
-use crate::robot::{HingeMap, Integration, JointMap, Layout, MapKind, Robot, ShapeTag, Softness};
+use crate::robot::{
+    FreeFriction, HingeMap, Integration, JointMap, Layout, MapKind, Robot, ShapeTag, Softness,
+};
 use contacts::Touching;
 use problem::{Kind, Problem};
 
@@ -121,6 +123,9 @@ impl Constraints {
         for (hinge, position) in layout.hinges.iter().zip(&self.start.hinges) {
             add_limit(&mut self.problem, &self.start.speeds, hinge, *position, rule);
             add_dry_friction(&mut self.problem, &self.start.speeds, hinge, rule);
+        }
+        if let Some(free) = &layout.free_friction {
+            add_free_friction(&mut self.problem, &self.start, free, rule);
         }
         self.touching.add(robot.blueprint(), physics, &self.start, &mut self.problem, rule);
         if !self.problem.has_constraints() {
@@ -254,7 +259,9 @@ impl Rule {
 /// Adds the ends of a hinge's range that it has passed.
 fn add_limit(problem: &mut Problem, speeds: &[f64], hinge: &HingeMap, position: f64, rule: Rule) {
     let Some(range) = hinge.plan.range else { return };
+    let margin = f64::from(hinge.plan.margin);
     let [low, high] = range.map(f64::from);
+    let (low, high) = (low + margin, high - margin);
     for (inward, distance) in [(1.0, position - low), (-1.0, high - position)] {
         if distance >= 0.0 {
             continue;
@@ -278,6 +285,27 @@ fn add_dry_friction(problem: &mut Problem, speeds: &[f64], hinge: &HingeMap, rul
     let aim = rule.aim(softness, None, speeds[hinge.dof]);
     problem.set_row(aim, compliance * f64::from(hinge.inverse_inertia));
     problem.close(Kind::Bounded(f64::from(hinge.plan.friction)));
+}
+
+/// Adds the dry friction of a free root: along the axes of the world, and about those of the link.
+fn add_free_friction(problem: &mut Problem, start: &Start, free: &FreeFriction, rule: Rule) {
+    let softness = &free.plan.friction_softness;
+    let turn = start.links[free.link].pose.rotation;
+    let axes = [Vector::X, Vector::Y, Vector::Z];
+    for (first, axes, inverse) in [
+        (free.dof, axes, free.inverses[0]),
+        (free.dof + 3, axes.map(|axis| turn * axis), free.inverses[1]),
+    ] {
+        for axis in axes {
+            let row = &mut problem.add_row()[first..first + 3];
+            row.iter_mut().zip(axis.to_array()).for_each(|(to, part)| *to = f64::from(part));
+            let speeds = row.iter().zip(&start.speeds[first..]);
+            let speed = speeds.map(|(part, speed)| part * speed).sum();
+            let aim = rule.aim(softness, None, speed);
+            problem.set_row(aim, f64::from(softness.compliance(0.0)) * inverse);
+            problem.close(Kind::Bounded(f64::from(free.plan.friction)));
+        }
+    }
 }
 
 impl PhysicsHooks for Constraints {

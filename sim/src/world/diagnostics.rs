@@ -1,11 +1,11 @@
 //! Physics diagnostics: energy, centre of mass, lowest point, contact impulse. They allocate; do not use them while
 //! stepping.
 
-use rapier3d::math::Vector;
+use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::shape::SupportMap as _;
 
 use super::{Enforcer, World};
-use crate::robot::{Convex, JointPlan, LinkPlan};
+use crate::robot::{Convex, GroundForm, JointPlan, LinkPlan, ShapePlan};
 use crate::scene::Shape;
 
 impl World {
@@ -23,10 +23,28 @@ impl World {
 
     /// Height of the robot's lowest point above a floor at z = 0, m; negative for penetration.
     pub fn lowest_point(&self) -> f32 {
+        self.lowest(Pose::IDENTITY, |_| true).unwrap_or(f32::INFINITY)
+    }
+
+    /// Height above a plane of the lowest point that can touch it, m; negative for penetration. `None` if nothing can
+    /// touch a plane.
+    pub(crate) fn lowest_contact(&self) -> Option<f32> {
+        let grounds = self.robot.blueprint().grounds.iter();
+        let planes = grounds.filter(|ground| matches!(ground.form, GroundForm::Plane));
+        let heights = planes.filter_map(|plane| {
+            self.lowest(plane.pose, |shape| {
+                shape.surface.is_some_and(|surface| surface.meets(&plane.surface))
+            })
+        });
+        heights.reduce(f32::min)
+    }
+
+    /// Height of the lowest point of some shapes above the plane z = 0 of a frame, m.
+    fn lowest(&self, plane: Pose, counts: impl Fn(&ShapePlan) -> bool + Copy) -> Option<f32> {
         let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
         let heights = links.flat_map(|(plan, joint)| {
-            let frame = self.frame(joint);
-            plan.shapes.iter().map(move |shape| {
+            let frame = plane.inverse() * self.frame(joint);
+            plan.shapes.iter().filter(move |shape| counts(shape)).map(move |shape| {
                 let pose = frame * shape.pose;
                 let along = pose.rotation * Vector::Z;
                 match shape.shape {
@@ -39,13 +57,16 @@ impl World {
                 }
             })
         });
-        heights.fold(f32::INFINITY, f32::min)
+        heights.reduce(f32::min)
     }
 
-    /// Torque of the motor of `joint` for its last control, N m; `None` in the cases of [`Robot::torque`](crate::Robot::torque).
+    /// Torque of the motors of `joint` for their last controls, N m; `None` without a motor, or if the torque of one also
+    /// depends on the robot's motion.
     pub fn torque(&self, joint: &str) -> Option<f32> {
-        let motor = self.robot.actuators().position(|name| name == joint)?;
-        self.robot.torque(joint, self.drives.control(motor))
+        let motors = self.robot.blueprint().motors.iter().enumerate();
+        let of_joint = motors.filter(|(_, motor)| motor.joint == joint);
+        let torques = of_joint.map(|(index, motor)| motor.torque(self.drives.control(index)));
+        torques.reduce(|sum, torque| Some(sum? + torque?)).flatten()
     }
 
     /// Sum of the normal impulses in the last physics step, N s.
@@ -77,9 +98,9 @@ impl World {
 
     fn potential_energy(&self) -> f64 {
         let gravity = self.robot.blueprint().gravity;
-        let weight = self
-            .mass_centres()
-            .map(|(link, centre)| f64::from(-link.mass.mass() * gravity.dot(centre)));
+        let weight = self.mass_centres().map(|(link, centre)| {
+            f64::from(-link.gravity_scale * link.mass.mass() * gravity.dot(centre))
+        });
         let mut coordinates = vec![0.0; self.robot.coordinate_names().len()];
         self.coordinates(&mut coordinates);
         let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);

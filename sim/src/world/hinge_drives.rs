@@ -162,6 +162,7 @@ impl HingeDrives {
         let (Some([low, high]), Some(spring)) = (hinge.plan.range, &self.springs[index]) else {
             return Limit::default();
         };
+        let (low, high) = (low + hinge.plan.margin, high - hinge.plan.margin);
         // Positive towards the range; a violation is negative.
         let (position, inward) = if angle < low {
             (angle - low, 1.0)

@@ -1,10 +1,12 @@
 //! Tests of worlds of models that no task ships: MJCF elements, one document of several files, other roots, refused
 //! models.
 
+mod accepted;
 mod contacts;
 mod loaded;
 mod one_document;
 mod other_roots;
+mod references;
 mod refused;
 
 use std::sync::Arc;

@@ -2,10 +2,14 @@
 
 use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
 use super::super::document::{Element, check_names};
+use super::bodies::Body;
 use super::context::Context;
 use super::links::Links;
 
-const KNOWN: [&str; 15] = [
+/// What else than a joint an actuator of MuJoCo can act on.
+const ELSEWHERE: [&str; 6] = ["tendon", "site", "refsite", "body", "cranksite", "slidersite"];
+const KINDS: [&str; 4] = ["motor", "position", "velocity", "general"];
+const KNOWN: [&str; 16] = [
     "name",
     "class",
     "joint",
@@ -17,6 +21,7 @@ const KNOWN: [&str; 15] = [
     "forcelimited",
     "kp",
     "kv",
+    "dampratio",
     "inheritrange",
     "group",
     "user",
@@ -27,69 +32,173 @@ const GENERAL: [&str; 7] =
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
+/// A joint that an actuator moves.
+struct Driven<'a> {
+    /// Index among all hinges, in the order of the links.
+    index: usize,
+    hinge: &'a Hinge,
+    gear: f64,
+}
+
+/// Force of an actuator: `gain c + bias . (1, q, v)`, with MuJoCo's coordinate `q`.
+struct Law {
+    gain: f64,
+    bias: [f64; 3],
+    /// Range of the force, if limited.
+    range: Option<[f32; 2]>,
+}
+
 /// Reads all actuators.
 pub(super) fn read(
     root: &Element,
     context: &Context,
+    bodies: &[Body],
     links: &Links<'_>,
-) -> Result<Vec<MotorPlan>, String> {
+) -> Vec<MotorPlan> {
     let elements = || root.all("actuator").flat_map(|section| &section.children);
-    check_names(elements())?;
-    elements()
-        .map(|element| {
-            let element = context.classes.resolve(element, None)?;
-            motor(&element, context, links)
-        })
-        .collect()
+    context.blockers.keep(check_names(elements()));
+    let read = |element: &Element| {
+        let element = context.classes.resolve(element, None)?;
+        motor(&element, context, bodies, links).map(|motor| Some((element, motor?)))
+    };
+    let read: Vec<(Element, MotorPlan)> =
+        elements().filter_map(|element| context.blockers.keep(read(element)).flatten()).collect();
+    named(&read)
 }
 
-fn motor(element: &Element, context: &Context, links: &Links<'_>) -> Result<MotorPlan, String> {
+/// The motors with names: the stated one, else that of the joint, with the kind of actuator if the joint has several.
+fn named(read: &[(Element, MotorPlan)]) -> Vec<MotorPlan> {
+    let mut motors: Vec<MotorPlan> = Vec::new();
+    for (element, motor) in read {
+        let of_joint = read.iter().filter(|(_, other)| other.joint == motor.joint).count();
+        let name = match element.text("name") {
+            Some(name) => name.to_owned(),
+            None if of_joint == 1 => motor.joint.clone(),
+            None => {
+                let name = format!("{}.{}", motor.joint, element.tag);
+                match motors.iter().filter(|other| other.name.starts_with(&name)).count() {
+                    0 => name,
+                    count => format!("{name}.{}", count + 1),
+                }
+            }
+        };
+        motors.push(MotorPlan { name, ..motor.clone() });
+    }
+    motors
+}
+
+/// Reads an actuator, without its name; `None` if its joint could not be read.
+fn motor(
+    element: &Element,
+    context: &Context,
+    bodies: &[Body],
+    links: &Links<'_>,
+) -> Result<Option<MotorPlan>, String> {
+    if let Some(target) = ELSEWHERE.iter().find(|name| element.text(name).is_some()) {
+        let reason = format!(
+            "an actuator must act on a joint, not on a {target}; state its `joint`, or remove it"
+        );
+        return Err(element.refuse_for(target, reason));
+    }
     element.only(&[&KNOWN, &GENERAL])?;
+    if !KINDS.contains(&element.tag.as_str()) {
+        let reason = "this actuator is not supported; use motor, position, velocity or general";
+        return Err(element.refuse(reason));
+    }
     let joint = match (element.text("joint"), element.text("jointinparent")) {
-        (Some(_), Some(_)) => return Err(element.refuse("it has `joint` and `jointinparent`")),
+        (Some(_), Some(_)) => {
+            return Err(element.refuse("it has `joint` and `jointinparent`; remove one"));
+        }
         (joint, in_parent) => joint.or(in_parent),
     };
-    let joint = joint.ok_or_else(|| element.refuse("an actuator must act on a joint"))?;
-    let hinges = links.plans.iter().filter_map(LinkPlan::hinge).enumerate();
-    let found = hinges.into_iter().find(|(_, hinge)| hinge.name == joint);
-    let (index, hinge) =
-        found.ok_or_else(|| element.refuse(format!("no hinge or slide has the name `{joint}`")))?;
+    let joint = joint
+        .ok_or_else(|| element.refuse("an actuator must act on a joint; state its `joint`"))?;
+    let mut hinges = links.plans.iter().filter_map(LinkPlan::hinge).enumerate();
+    let Some((index, hinge)) = hinges.find(|(_, hinge)| hinge.name == joint) else {
+        let mut stated = bodies.iter().flat_map(|body| &body.joints);
+        let is_refused = !context.blockers.is_empty()
+            && stated.any(|(stated, _)| stated.text("name") == Some(joint));
+        let reason = format!("no hinge or slide has the name `{joint}`; state its name");
+        return if is_refused { Ok(None) } else { Err(element.refuse_for("joint", reason)) };
+    };
     let gear = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?[0];
-    let force = force_range(element, context)?;
-    let servo = servo(element, (hinge, gear), force)?;
-    let range = control_range(element, hinge, context)?;
-    Ok(MotorPlan {
+    let driven = Driven { index, hinge, gear };
+    let law = law(element, context)?;
+    let range = control_range(element, &driven, &law, context)?;
+    Ok(Some(MotorPlan {
+        name: String::new(),
         joint: joint.to_owned(),
-        hinge: index,
+        hinge: driven.index,
         gear: gear as f32,
         range: range.map(|end| end as f32),
-        servo,
-    })
+        servo: law.servo(&driven),
+    }))
 }
 
-/// Range of the control. A policy needs one.
-fn control_range(element: &Element, hinge: &Hinge, context: &Context) -> Result<[f64; 2], String> {
+/// Range of the control. A policy needs one, so a range that is not stated follows from those of the joint or the force.
+fn control_range(
+    element: &Element,
+    driven: &Driven<'_>,
+    law: &Law,
+    context: &Context,
+) -> Result<[f64; 2], String> {
     let inherited = element.number("inheritrange", 0.0)?;
-    let range = match hinge.range {
-        Some([low, high]) if inherited > 0.0 => {
-            let [low, high] = [low + hinge.reference, high + hinge.reference].map(f64::from);
+    let of_joint = driven
+        .hinge
+        .range
+        .map(|range| range.map(|end| f64::from(end) + f64::from(driven.hinge.reference)));
+    let stated = element.numbers::<2>("ctrlrange")?;
+    let limited = element.flag("ctrllimited")?;
+    let range = match (of_joint, stated) {
+        (Some([low, high]), None) if inherited > 0.0 => {
             let (middle, half) = ((low + high) / 2.0, inherited * (high - low) / 2.0);
             Some([middle - half, middle + half])
         }
-        _ => element.numbers("ctrlrange")?,
+        (_, Some(range)) if limited.unwrap_or(context.options.autolimits) => Some(range),
+        _ => law.implied_range(driven, of_joint),
     };
-    let limited = element.flag("ctrllimited")?;
     match range {
-        Some([low, high])
-            if low < high && limited.unwrap_or(context.options.autolimits || inherited > 0.0) =>
-        {
-            Ok([low, high])
+        Some([low, high]) if low < high => Ok([low, high]),
+        Some([low, high]) => {
+            let reason = format!("`ctrlrange` must ascend, is {low} to {high}");
+            Err(element.refuse_for("ctrlrange", reason))
         }
-        Some([low, high]) if low >= high => {
-            Err(element.refuse(format!("`ctrlrange` must ascend, is {low} to {high}")))
+        None if stated.is_some() => {
+            let reason = "its control must be limited: set ctrllimited=\"true\"";
+            Err(element.refuse_for("ctrllimited", reason))
         }
-        Some(_) => Err(element.refuse("its control must be limited: set `ctrllimited=\"true\"`")),
         None => Err(element.refuse("its control must be limited: set `ctrlrange`")),
+    }
+}
+
+impl Law {
+    /// Range of the control that the joint's range gives a servo of the position, or the force's range a motor.
+    fn implied_range(&self, driven: &Driven<'_>, of_joint: Option<[f64; 2]>) -> Option<[f64; 2]> {
+        let [constant, stiffness, slope] = self.bias;
+        let ends = if stiffness != 0.0 {
+            let gear = driven.gear;
+            of_joint?.map(|angle| -(constant + stiffness * gear * angle) / self.gain)
+        } else if slope == 0.0 {
+            let of_joint = driven.hinge.torque_range;
+            let of_joint = of_joint.map(|range| range.map(|end| f64::from(end) / driven.gear));
+            let force = self.range.map(|range| range.map(f64::from)).or(of_joint)?;
+            force.map(|force| (force - constant) / self.gain)
+        } else {
+            return None;
+        };
+        let [a, b] = ends;
+        (a.is_finite() && b.is_finite()).then(|| [a.min(b), a.max(b)])
+    }
+
+    /// The feedback; `None` if the force is the control.
+    fn servo(&self, driven: &Driven<'_>) -> Option<Servo> {
+        let [constant, stiffness, slope] = self.bias;
+        if self.gain == 1.0 && self.bias == [0.0; 3] && self.range.is_none() {
+            return None;
+        }
+        let constant = constant + stiffness * driven.gear * f64::from(driven.hinge.reference);
+        let bias = [constant, stiffness, slope].map(|number| number as f32);
+        Some(Servo { gain: self.gain as f32, bias, range: self.range })
     }
 }
 
@@ -98,54 +207,48 @@ fn force_range(element: &Element, context: &Context) -> Result<Option<[f32; 2]>,
     let limited = element.flag("forcelimited")?.unwrap_or(context.options.autolimits);
     match range.filter(|_| limited) {
         Some([low, high]) if low >= high => {
-            Err(element.refuse("`forcerange` must have a lower and a higher end"))
+            Err(element.refuse_for("forcerange", "`forcerange` must have a lower and a higher end"))
         }
         range => Ok(range.map(|range| range.map(|end| end as f32))),
     }
 }
 
-/// Feedback of an actuator; `None` if its force is the control.
-fn servo(
-    element: &Element,
-    (hinge, gear): (&Hinge, f64),
-    range: Option<[f32; 2]>,
-) -> Result<Option<Servo>, String> {
-    let (gain, [constant, stiffness, slope]) = match element.tag.as_str() {
+fn law(element: &Element, context: &Context) -> Result<Law, String> {
+    let (gain, bias) = match element.tag.as_str() {
         "motor" => (1.0, [0.0; 3]),
         "position" => {
-            only_without(element, "timeconst")?;
+            if element.number("timeconst", 0.0)? != 0.0 {
+                let reason =
+                    "`timeconst` is not supported, since a state has no activations; set 0";
+                return Err(element.refuse_for("timeconst", reason));
+            }
             let kp = element.number("kp", 1.0)?;
-            (kp, [0.0, -kp, -element.number("kv", 0.0)?])
+            let (kv, ratio) = (element.number("kv", 0.0)?, element.number("dampratio", 0.0)?);
+            if ratio < 0.0 || (ratio > 0.0 && kv != 0.0) {
+                let reason = "`dampratio` must not be negative, nor stated with `kv`; remove one";
+                return Err(element.refuse_for("dampratio", reason));
+            }
+            // As in MuJoCo, a positive slope is a damping ratio.
+            (kp, [0.0, -kp, if ratio > 0.0 { ratio } else { -kv }])
         }
         "velocity" => {
             let kv = element.number("kv", 1.0)?;
             (kv, [0.0, 0.0, -kv])
         }
-        "general" => general(element)?,
-        _ => return Err(element.refuse("this actuator is not supported")),
+        _ => general(element)?,
     };
-    if gain == 1.0 && [constant, stiffness, slope] == [0.0; 3] && range.is_none() {
-        return Ok(None);
-    }
-    let constant = constant + stiffness * gear * f64::from(hinge.reference);
-    let bias = [constant, stiffness, slope].map(|number| number as f32);
-    Ok(Some(Servo { gain: gain as f32, bias, range }))
-}
-
-fn only_without(element: &Element, name: &str) -> Result<(), String> {
-    match element.number(name, 0.0)? {
-        0.0 => Ok(()),
-        _ => Err(element.refuse(format!("`{name}` is not supported"))),
-    }
+    let range = force_range(element, context)?;
+    Ok(Law { gain, bias, range })
 }
 
 fn general(element: &Element) -> Result<(f64, [f64; 3]), String> {
     let word = |name, default| element.text(name).unwrap_or(default);
     if word("dyntype", "none") != "none" {
-        return Err(element.refuse("actuators with an activation state are not supported"));
+        let reason = "actuators with an activation state are not supported; set dyntype=\"none\"";
+        return Err(element.refuse_for("dyntype", reason));
     }
     if word("gaintype", "fixed") != "fixed" {
-        return Err(element.refuse("`gaintype` must be fixed"));
+        return Err(element.refuse_for("gaintype", "`gaintype` must be fixed"));
     }
     let mut one = [0.0; MOST_PARAMETERS];
     one[0] = 1.0;
@@ -154,6 +257,9 @@ fn general(element: &Element) -> Result<(f64, [f64; 3]), String> {
     match word("biastype", "none") {
         "none" => Ok((gain, [0.0; 3])),
         "affine" => Ok((gain, [a, b, c])),
-        kind => Err(element.refuse(format!("biastype=\"{kind}\" is not supported"))),
+        kind => {
+            let reason = format!("biastype=\"{kind}\" is not supported; set none or affine");
+            Err(element.refuse_for("biastype", reason))
+        }
     }
 }

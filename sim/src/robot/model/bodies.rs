@@ -24,6 +24,8 @@ pub(super) struct Body {
     pub(super) frame: Frame,
     /// Whether no joint is between the body and the world.
     pub(super) is_static: bool,
+    /// Share of the body's weight that a constant force carries.
+    pub(super) carried: f64,
     /// Joints, and the frames in the body in which they are stated.
     pub(super) joints: Vec<(Element, Frame)>,
     pub(super) geoms: Vec<Geom>,
@@ -35,13 +37,13 @@ pub(super) fn flat(root: &Element, context: &Context) -> Result<Vec<Body>, Strin
     let mut bodies = vec![new_body(root, "world".to_owned(), 0, IDENTITY)];
     for world in root.all("worldbody") {
         let childclass = world.text("childclass");
-        fill(&mut bodies, 0, world, (childclass, IDENTITY), context)?;
+        fill(&mut bodies, 0, world, (childclass, IDENTITY), context);
     }
     for index in 1..bodies.len() {
         bodies[index].is_static =
             bodies[index].joints.is_empty() && bodies[bodies[index].parent].is_static;
     }
-    check_bodies(&bodies[1..])?;
+    check_bodies(&bodies[1..], context);
     Ok(bodies)
 }
 
@@ -52,6 +54,7 @@ fn new_body(element: &Element, name: String, parent: usize, frame: Frame) -> Bod
         parent,
         frame,
         is_static: true,
+        carried: 0.0,
         joints: Vec::new(),
         geoms: Vec::new(),
         inertial: None,
@@ -63,35 +66,45 @@ fn fill(
     bodies: &mut Vec<Body>,
     own: usize,
     element: &Element,
+    outside: (Option<&str>, Frame),
+    context: &Context,
+) {
+    for child in &element.children {
+        context.blockers.keep(add_part(bodies, own, child, outside, context));
+    }
+}
+
+fn add_part(
+    bodies: &mut Vec<Body>,
+    own: usize,
+    child: &Element,
     (childclass, frame): (Option<&str>, Frame),
     context: &Context,
 ) -> Result<(), String> {
-    for child in &element.children {
-        match child.tag.as_str() {
-            "geom" => {
-                let geom = context.classes.resolve(child, childclass)?;
-                bodies[own].geoms.push(Geom::new(geom, frame, context)?);
-            }
-            "joint" if own > 0 => {
-                let joint = context.classes.resolve(child, childclass)?;
-                bodies[own].joints.push((joint, frame));
-            }
-            "freejoint" if own > 0 => bodies[own].joints.push((child.clone(), frame)),
-            "inertial" if own > 0 => {
-                if bodies[own].inertial.replace((child.clone(), frame)).is_some() {
-                    return Err(child.refuse("its body has another `inertial`"));
-                }
-            }
-            "body" => add_body(bodies, own, child, (childclass, frame), context)?,
-            "frame" => {
-                child.only(&[&["name", "childclass", "pos"], &ORIENTATIONS])?;
-                let frame = frame.then(&context.options.angles.frame(child)?);
-                let childclass = child.text("childclass").or(childclass);
-                fill(bodies, own, child, (childclass, frame), context)?;
-            }
-            tag if SKIPPED.contains(&tag) => {}
-            _ => return Err(child.refuse("this element is not supported")),
+    match child.tag.as_str() {
+        "geom" => {
+            let geom = context.classes.resolve(child, childclass)?;
+            bodies[own].geoms.push(Geom::new(geom, frame, context)?);
         }
+        "joint" if own > 0 => {
+            let joint = context.classes.resolve(child, childclass)?;
+            bodies[own].joints.push((joint, frame));
+        }
+        "freejoint" if own > 0 => bodies[own].joints.push((child.clone(), frame)),
+        "inertial" if own > 0 => {
+            if bodies[own].inertial.replace((child.clone(), frame)).is_some() {
+                return Err(child.refuse("its body has another `inertial`; remove one"));
+            }
+        }
+        "body" => add_body(bodies, own, child, (childclass, frame), context)?,
+        "frame" => {
+            child.only(&[&["name", "childclass", "pos"], &ORIENTATIONS])?;
+            let frame = frame.then(&context.options.angles.frame(child)?);
+            let childclass = child.text("childclass").or(childclass);
+            fill(bodies, own, child, (childclass, frame), context);
+        }
+        tag if SKIPPED.contains(&tag) => {}
+        _ => return Err(child.refuse("this element is not supported; remove it")),
     }
     Ok(())
 }
@@ -104,19 +117,30 @@ fn add_body(
     context: &Context,
 ) -> Result<(), String> {
     let known = ["name", "pos", "childclass", "mocap", "gravcomp", "user", "sleep"];
-    element.only(&[&known, &ORIENTATIONS])?;
-    if element.flag("mocap")? == Some(true) {
-        return Err(element.refuse("mocap bodies are not supported"));
-    }
-    if element.number("gravcomp", 0.0)? != 0.0 {
-        return Err(element.refuse("gravity compensation is not supported"));
-    }
+    context.blockers.keep(element.only(&[&known, &ORIENTATIONS]));
     let index = bodies.len();
     let name = element.text("name").map_or_else(|| format!("body {index}"), str::to_owned);
     let frame = frame.then(&context.options.angles.frame(element)?);
-    bodies.push(new_body(element, name, parent, frame));
+    let mut body = new_body(element, name, parent, frame);
+    body.carried = element.number("gravcomp", 0.0)?;
+    bodies.push(body);
     let childclass = element.text("childclass").or(childclass);
-    fill(bodies, index, element, (childclass, IDENTITY), context)
+    fill(bodies, index, element, (childclass, IDENTITY), context);
+    if is_marker(element)? {
+        let marker = bodies.split_off(index);
+        let touches = |geom: &&Geom| context.options.has_contacts && geom.surface.collides();
+        if let Some(geom) = marker.iter().flat_map(|body| &body.geoms).find(touches) {
+            let reason = "a mocap body is skipped, so nothing may touch it: set contype=\"0\" and \
+                conaffinity=\"0\"";
+            return Err(geom.element.refuse(reason));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a body is a mocap body, which marks a place and is skipped with all bodies in it.
+pub(super) fn is_marker(body: &Element) -> Result<bool, String> {
+    Ok(body.flag("mocap")? == Some(true))
 }
 
 /// Mass and inertia that `inertial` states, in the body's frame; `None` if those of the shapes count.
@@ -132,7 +156,7 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
     let known = ["pos", "mass", "diaginertia", "fullinertia"];
     element.only(&[&known, &ORIENTATIONS])?;
     if element.text("pos").is_none() || element.text("mass").is_none() {
-        return Err(element.refuse("it must have `pos` and `mass`"));
+        return Err(element.refuse("it must have `pos` and `mass`; add them"));
     }
     let mass = element.number("mass", 0.0)?;
     let mut solid = match (element.numbers("diaginertia")?, element.numbers("fullinertia")?) {
@@ -143,7 +167,7 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
         }
         (None, None) => Solid::principal(mass, [0.0; 3]),
         (Some(_), Some(_)) => {
-            return Err(element.refuse("it has both `diaginertia` and `fullinertia`"));
+            return Err(element.refuse("it has both `diaginertia` and `fullinertia`; remove one"));
         }
     };
     if mass < 0.0 || solid.principal_moments().iter().any(|moment| *moment < 0.0) {
@@ -165,11 +189,12 @@ pub(super) fn take_grounds(
     bodies: &mut [Body],
     context: &mut Context,
     folder: &mut Folder<'_>,
-) -> Result<Vec<GroundPlan>, String> {
+) -> Vec<GroundPlan> {
     let has_base = has_base(bodies);
     let moving = bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
-    if let Some(plane) = moving.clone().find(|geom| geom.is_plane()) {
-        return Err(plane.element.refuse("a plane must be fixed to the world"));
+    for plane in moving.clone().filter(|geom| geom.is_plane()) {
+        let reason = "a plane must be fixed to the world: move it there, or use a box";
+        context.blockers.note(plane.element.refuse(reason));
     }
     let moving: Vec<Surface> = moving.map(|geom| geom.surface).collect();
     let (mut grounds, mut frames) = (Vec::new(), Vec::new());
@@ -183,14 +208,16 @@ pub(super) fn take_grounds(
         body.geoms = kept;
         let touched = |geom: &&Geom| moving.iter().any(|other| geom.surface.meets(other));
         for geom in taken.iter().filter(|_| context.options.has_contacts).filter(touched) {
-            grounds.push(geom.ground((&frames[index], index), &mut context.meshes, folder)?);
+            let ground = geom.ground((&frames[index], index), &mut context.meshes, folder);
+            grounds.extend(context.blockers.keep(ground));
         }
     }
-    Ok(grounds)
+    grounds
 }
 
-/// Refuses two bodies, joints or actuators of the same name.
-fn check_bodies(bodies: &[Body]) -> Result<(), String> {
-    check_names(bodies.iter().map(|body| &body.element))?;
-    check_names(bodies.iter().flat_map(|body| &body.joints).map(|(joint, _)| joint))
+/// Refuses two bodies or joints of the same name.
+fn check_bodies(bodies: &[Body], context: &Context) {
+    context.blockers.keep(check_names(bodies.iter().map(|body| &body.element)));
+    let joints = bodies.iter().flat_map(|body| &body.joints).map(|(joint, _)| joint);
+    context.blockers.keep(check_names(joints));
 }

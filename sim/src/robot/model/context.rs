@@ -1,6 +1,7 @@
 //! Default classes, options and meshes of a model, on which the reading of its elements depends.
 
 use super::super::document::{Classes, Element};
+use super::blockers::Blockers;
 use super::meshes::Meshes;
 use super::options::Options;
 
@@ -9,14 +10,17 @@ pub(super) struct Context {
     pub(super) classes: Classes,
     pub(super) options: Options,
     pub(super) meshes: Meshes,
+    /// What cannot be built.
+    pub(super) blockers: Blockers,
 }
 
 impl Context {
     /// Reads the settings, and what MuJoCo would do in addition to this simulator.
     pub(super) fn read(root: &Element) -> Result<(Self, Vec<String>), String> {
-        let (options, left_out) = Options::read(root)?;
+        let blockers = Blockers::default();
+        let (options, left_out) = Options::read(root, &blockers)?;
         let classes = Classes::new(root)?;
         let meshes = Meshes::read(root, &classes, &options)?;
-        Ok((Self { classes, options, meshes }, left_out))
+        Ok((Self { classes, options, meshes, blockers }, left_out))
     }
 }

@@ -17,8 +17,8 @@ use super::options::MassSource;
 use crate::scene::Hull;
 
 /// Sections without effect on the motion.
-const SECTIONS: [&str; 8] =
-    ["size", "statistic", "visual", "custom", "sensor", "keyframe", "tendon", "equality"];
+const SECTIONS: [&str; 7] =
+    ["size", "statistic", "visual", "custom", "sensor", "tendon", "equality"];
 /// Paths of files, which the document does not name any more.
 const PATHS: [&str; 4] = ["meshdir", "assetdir", "texturedir", "strippath"];
 /// Corners of a mesh that only marks the base of a robot, m.
@@ -194,6 +194,8 @@ fn rewrite(
                 }
             },
             "frame" => rewrite(&mut child, own, next, rests, source),
+            // A mocap body is skipped. The document was read before, so its flag is valid.
+            "body" if matches!(bodies::is_marker(&child), Ok(true)) => continue,
             "body" => {
                 *next += 1;
                 let index = *next;

@@ -31,16 +31,21 @@ pub(super) struct Geom {
     /// Ends of the shape in its body, if it states them.
     ends: Option<[[f64; 3]; 2]>,
     pub(super) surface: Surface,
+    /// Whether its group has masses.
+    is_heavy: bool,
 }
 
 impl Geom {
     /// Reads a shape that is stated in `outer`, a frame in its body.
     pub(super) fn new(element: Element, outer: Frame, context: &Context) -> Result<Self, String> {
-        element.only(&[&KNOWN, &SKIPPED, &ORIENTATIONS, &Surface::ATTRIBUTES])?;
+        let known = [&KNOWN[..], &SKIPPED, &ORIENTATIONS, &Surface::ATTRIBUTES];
+        context.blockers.keep(element.only(&known));
         if element.flag("shellinertia")? == Some(true) {
-            return Err(element.refuse("`shellinertia` is not supported"));
+            let reason = "`shellinertia` is not supported; state the body's `inertial`";
+            return Err(element.refuse_for("shellinertia", reason));
         }
         let surface = Surface::read(&element)?;
+        let [first, last] = context.options.mass_groups;
         let ends = element.numbers::<6>("fromto")?.map(|[a, b, c, d, e, f]| {
             [[a, b, c], [d, e, f]].map(|end| {
                 if outer == IDENTITY {
@@ -54,6 +59,7 @@ impl Geom {
             frame: outer.then(&context.options.angles.frame(&element)?),
             ends,
             surface,
+            is_heavy: (first..=last).contains(&element.integer("group", 0)?),
             element,
         })
     }
@@ -73,7 +79,7 @@ impl Geom {
     /// Whether the shape has a mass.
     pub(super) fn weighs(&self) -> bool {
         let mass = self.element.text("mass").or(self.element.text("density"));
-        mass.and_then(|mass| mass.trim().parse::<f64>().ok()) != Some(0.0)
+        self.is_heavy && mass.and_then(|mass| mass.trim().parse::<f64>().ok()) != Some(0.0)
     }
 
     /// Form of the shape, and its pose in its body.
@@ -87,9 +93,9 @@ impl Geom {
             return Ok((Shape::Hull(meshes.hull(element, folder)?), self.frame.pose()));
         }
         if element.text("mesh").is_some() {
-            return Err(
-                element.refuse("a primitive shape that is fitted to a mesh is not supported")
-            );
+            let reason =
+                "a primitive shape that is fitted to a mesh is not supported; state its `size`";
+            return Err(element.refuse(reason));
         }
         let size = element.list("size")?.unwrap_or_default();
         if size.len() > 3 || size.iter().any(|length| *length > LARGEST_SIZE) {
@@ -100,7 +106,10 @@ impl Geom {
             "sphere" => (1, 1),
             "capsule" | "cylinder" => (2, 1),
             "box" | "ellipsoid" => (3, 1),
-            kind => return Err(element.refuse(format!("the type `{kind}` is not supported"))),
+            kind => {
+                let reason = format!("the type `{kind}` is not supported; use a box or a mesh");
+                return Err(element.refuse_for("type", reason));
+            }
         };
         let needed = if self.ends.is_some() { after } else { count };
         if size.len() < needed || size[..needed].iter().any(|length| *length as f32 <= 0.0) {

@@ -1,6 +1,6 @@
 //! Joints of bodies.
 
-use super::super::blueprint::{Hinge, HingeAxis, JointPlan, Motion, Planar};
+use super::super::blueprint::{FreeJoint, Hinge, HingeAxis, JointPlan, Motion, Planar};
 use super::super::document::Element;
 use super::super::frame::{Frame, IDENTITY, rotated, vector};
 use super::super::softness::Softness;
@@ -37,31 +37,27 @@ pub(super) fn is_free((joint, _): &(Element, Frame)) -> bool {
 }
 
 /// Reads the joints of a child of the world, the outermost first.
-pub(super) fn read_root(body: &Body, context: &Context) -> Result<Vec<JointPlan>, String> {
-    for (joint, _) in &body.joints {
-        check(joint)?;
-    }
+pub(super) fn read_root(body: &Body, context: &Context) -> Vec<JointPlan> {
     if let [joint] = body.joints.as_slice()
         && is_free(joint)
     {
-        let name = joint.0.text("name").unwrap_or(&body.name).to_owned();
-        return Ok(vec![JointPlan::Free(name)]);
+        let free = context.blockers.keep(free(&joint.0, body, context));
+        return free.into_iter().map(JointPlan::Free).collect();
     }
-    match planar(body, context)? {
-        Some(planar) => Ok(vec![JointPlan::Planar(planar)]),
-        None => read(body, context),
+    match planar(body, context) {
+        Ok(Some(planar)) => vec![JointPlan::Planar(planar)],
+        _ => read(body, context),
     }
 }
 
 /// Reads the joints of any other body, the outermost first.
-pub(super) fn read(body: &Body, context: &Context) -> Result<Vec<JointPlan>, String> {
-    for (joint, _) in &body.joints {
-        check(joint)?;
-    }
-    if let Some((free, _)) = body.joints.iter().find(|joint| is_free(joint)) {
-        return Err(free.refuse("a free joint must be the only joint of a child of the world"));
-    }
-    let hinge = |(index, joint): (usize, &(Element, Frame))| {
+pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
+    let read = |(index, joint): (usize, &(Element, Frame))| {
+        if is_free(joint) {
+            let reason = "a free joint must be the only joint of a child of the world; remove it";
+            return Err(joint.0.refuse(reason));
+        }
+        check(&joint.0)?;
         let name = match joint.0.text("name") {
             Some(name) => name.to_owned(),
             None if body.joints.len() == 1 => body.name.clone(),
@@ -69,31 +65,55 @@ pub(super) fn read(body: &Body, context: &Context) -> Result<Vec<JointPlan>, Str
         };
         hinge(&joint.0, &joint.1, name, context).map(JointPlan::Hinge)
     };
-    body.joints.iter().enumerate().map(hinge).collect()
+    let joints = body.joints.iter().enumerate();
+    joints.filter_map(|joint| context.blockers.keep(read(joint))).collect()
 }
 
 fn check(joint: &Element) -> Result<(), String> {
-    if joint.tag == "freejoint" {
-        return joint.only(&[&["name", "group", "align"]]);
-    }
     joint.only(&[&KNOWN, &SKIPPED])?;
     match joint.text("type") {
-        None | Some("hinge" | "slide") => Ok(()),
-        Some("free") => no_passive_terms(joint),
-        Some(kind) => Err(joint.refuse(format!("the type `{kind}` is not supported"))),
+        None | Some("hinge" | "slide" | "free") => Ok(()),
+        Some(kind) => {
+            let reason = format!("the type `{kind}` is not supported; use several hinges");
+            Err(joint.refuse_for("type", reason))
+        }
     }
 }
 
-fn no_passive_terms(joint: &Element) -> Result<(), String> {
-    match PASSIVE.iter().find(|name| !matches!(joint.number(name, 0.0), Ok(0.0))) {
-        Some(name) => Err(joint.refuse(format!("`{name}` of a free joint must be 0"))),
-        None => Ok(()),
+fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, String> {
+    if joint.tag == "freejoint" {
+        joint.only(&[&["name", "group", "align"]])?;
+    } else {
+        check(joint)?;
+    }
+    if joint.number("stiffness", 0.0)? != 0.0 {
+        let reason =
+            "`stiffness` of a free joint must be 0; use <freejoint/>, or set stiffness=\"0\" here";
+        return Err(joint.refuse_for("stiffness", reason));
+    }
+    let friction = not_negative(joint, "frictionloss")?;
+    Ok(FreeJoint {
+        name: joint.text("name").unwrap_or(&body.name).to_owned(),
+        damping: not_negative(joint, "damping")?,
+        armature: not_negative(joint, "armature")?,
+        friction: if context.options.has_friction { friction } else { 0.0 },
+        friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
+    })
+}
+
+fn not_negative(joint: &Element, name: &str) -> Result<f32, String> {
+    match joint.number(name, 0.0)? {
+        number if number < 0.0 => {
+            Err(joint.refuse_for(name, format!("`{name}` must not be negative, is {number}")))
+        }
+        number => Ok(number as f32),
     }
 }
 
 /// Joints along x and z and about y, without forces and limits, as one joint.
 fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
     let [x, z, turn] = body.joints.as_slice() else { return Ok(None) };
+    body.joints.iter().try_for_each(|(joint, _)| check(joint))?;
     let kinds =
         [("slide", [1.0, 0.0, 0.0]), ("slide", [0.0, 0.0, 1.0]), ("hinge", [0.0, 1.0, 0.0])];
     let (mut names, mut reference) = ([const { String::new() }; 3], [0.0; 3]);
@@ -125,7 +145,7 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
     let reference = angle(joint.number("ref", 0.0)?);
     let axis = joint.numbers("axis")?.unwrap_or([0.0, 0.0, 1.0]);
     if axis == [0.0; 3] {
-        return Err(joint.refuse("`axis` has no direction"));
+        return Err(joint.refuse_for("axis", "`axis` has no direction"));
     }
     let anchor = joint.numbers("pos")?.unwrap_or([0.0; 3]);
     let (anchor, axis) = match *frame == IDENTITY {
@@ -137,19 +157,20 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
     };
     let stated = joint.numbers::<2>("range")?;
     let limited = joint.flag("limited")?;
-    let limited = limited.unwrap_or(context.options.autolimits && stated.is_some());
+    let limited = limited.unwrap_or(context.options.autolimits && stated.is_some())
+        && context.options.has_limits;
     let range =
         stated.filter(|_| limited).map(|range| range.map(|end| (angle(end) - reference) as f32));
     if limited && range.is_none_or(|[low, high]| low >= high) {
-        return Err(joint.refuse("`range` must have a lower and a higher end"));
+        let reason = "`range` must have a lower and a higher end; set it, or limited=\"false\"";
+        return Err(joint.refuse_for("range", reason));
     }
-    if limited && joint.number("margin", 0.0)? < 0.0 {
-        return Err(joint.refuse("`margin` must not be negative"));
+    let margin = if limited { not_negative(joint, "margin")? } else { 0.0 };
+    if range.is_some_and(|[low, high]| 2.0 * margin >= high - low) {
+        let reason = "`margin` must be less than half the `range`; lower it";
+        return Err(joint.refuse_for("margin", reason));
     }
-    let number = |name: &str| match joint.number(name, 0.0)? {
-        number if number < 0.0 => Err(joint.refuse(format!("`{name}` must not be negative"))),
-        number => Ok(number as f32),
-    };
+    let friction = not_negative(joint, "frictionloss")?;
     Ok(Hinge {
         name,
         anchor: vector(anchor),
@@ -157,12 +178,13 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         motion,
         reference: reference as f32,
         range,
+        margin,
         limit: softness(joint, ["solreflimit", "solimplimit"], context)?,
-        stiffness: number("stiffness")?,
+        stiffness: not_negative(joint, "stiffness")?,
         spring_rest: (angle(joint.number("springref", 0.0)?) - reference) as f32,
-        damping: number("damping")?,
-        armature: number("armature")?,
-        friction: number("frictionloss")?,
+        damping: not_negative(joint, "damping")?,
+        armature: not_negative(joint, "armature")?,
+        friction: if context.options.has_friction { friction } else { 0.0 },
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
         torque_range: torque_range(joint)?,
     })
@@ -175,7 +197,7 @@ fn softness(
 ) -> Result<Softness, String> {
     let (reference, impedance) = Softness::DEFAULT;
     let reference = joint.padded(solref, reference)?;
-    Softness::check(reference).map_err(|reason| joint.refuse(reason))?;
+    Softness::check(reference).map_err(|reason| joint.refuse_for(solref, reason))?;
     let impedance = joint.padded(solimp, impedance)?;
     Ok(Softness::new(reference, impedance, context.options.timestep_secs))
 }
@@ -187,7 +209,8 @@ fn torque_range(joint: &Element) -> Result<Option<[f32; 2]>, String> {
     }
     match range {
         Some([low, high]) if low > high => {
-            Err(joint.refuse("`actuatorfrcrange` must have a lower and a higher end"))
+            let reason = "`actuatorfrcrange` must have a lower and a higher end";
+            Err(joint.refuse_for("actuatorfrcrange", reason))
         }
         range => Ok(range.map(|range| range.map(|end| end as f32))),
     }

@@ -6,7 +6,7 @@ use rapier3d::prelude::MassProperties;
 use super::super::blueprint::{JointPlan, LinkPlan, ShapePlan};
 use super::super::folder::Folder;
 use super::super::frame::vector;
-use super::super::inertia::MassSum;
+use super::super::inertia::{MassSum, Solid};
 use super::bodies::{self, Body};
 use super::context::Context;
 use super::geoms::Geom;
@@ -19,6 +19,8 @@ const LARGEST_OFFSET: f32 = 1e-5;
 pub(super) struct Links<'a> {
     pub(super) plans: Vec<LinkPlan>,
     masses: Vec<MassSum>,
+    /// The carried share of each link's weight; none before the first body with a mass.
+    carried: Vec<Option<f64>>,
     /// The body of each link; none for the base.
     bodies: Vec<Option<&'a Body>>,
 }
@@ -32,24 +34,25 @@ pub(super) fn read<'a>(
     context: &mut Context,
     folder: &mut Folder<'_>,
 ) -> Result<Links<'a>, String> {
-    let mut links = Links { plans: Vec::new(), masses: Vec::new(), bodies: Vec::new() };
+    let mut links =
+        Links { plans: Vec::new(), masses: Vec::new(), carried: Vec::new(), bodies: Vec::new() };
     let base = links.add_base(bodies);
     let mut homes: Vec<Home> = vec![(base, Pose::IDENTITY)];
     for (index, body) in bodies.iter().enumerate().skip(1) {
         let (parent, frame) = homes[body.parent];
         let inside = frame * body.frame.pose();
-        let home = if body.joints.is_empty() {
-            (parent, inside)
-        } else {
-            links.add_body(body, parent, inside, context)?;
-            (Some(links.plans.len() - 1), Pose::IDENTITY)
+        let home = match links.add_body(body, parent, inside, context) {
+            0 => (parent, inside),
+            _ => (Some(links.plans.len() - 1), Pose::IDENTITY),
         };
         if let Some(link) = home.0 {
-            links.add_parts((index, body), link, &home.1, (&mut *context, &mut *folder))?;
+            links.add_parts((index, body), link, &home.1, (&mut *context, &mut *folder));
         }
         homes.push(home);
     }
-    links.check_roots(bodies)?;
+    if context.blockers.is_empty() {
+        links.check_roots(bodies)?;
+    }
     Ok(links)
 }
 
@@ -62,17 +65,23 @@ impl<'a> Links<'a> {
         Some(0)
     }
 
-    /// Adds a body's links: one for each joint. All but the last have neither mass nor shapes.
+    /// Adds a body's links: one for each joint. All but the last have neither mass nor shapes. Returns their number.
     fn add_body(
         &mut self,
         body: &'a Body,
         parent: Option<usize>,
         rest: Pose,
         context: &Context,
-    ) -> Result<(), String> {
+    ) -> usize {
         let is_root = parent.is_none_or(|parent| self.plans[parent].is_base());
         let joints =
-            if is_root { joints::read_root(body, context)? } else { joints::read(body, context)? };
+            if is_root { joints::read_root(body, context) } else { joints::read(body, context) };
+        // In place of joints that cannot be built, so that the rest of the body is checked.
+        let joints = if joints.is_empty() && !body.joints.is_empty() {
+            vec![JointPlan::Fixed]
+        } else {
+            joints
+        };
         let count = joints.len();
         let (mut parent, mut rest) = (parent, rest);
         for (index, joint) in joints.into_iter().enumerate() {
@@ -86,13 +95,15 @@ impl<'a> Links<'a> {
             self.bodies.push(Some(body));
             (parent, rest) = (Some(self.plans.len() - 1), Pose::IDENTITY);
         }
-        Ok(())
+        count
     }
 
     fn push(&mut self, name: String, parent: Option<usize>, rest: Pose, joint: JointPlan) {
         let mass = MassProperties::default();
-        self.plans.push(LinkPlan { name, parent, rest, joint, mass, shapes: Vec::new() });
+        let shapes = Vec::new();
+        self.plans.push(LinkPlan { name, parent, rest, joint, mass, gravity_scale: 1.0, shapes });
         self.masses.push(MassSum::default());
+        self.carried.push(None);
     }
 
     /// Adds the mass and the shapes of a body to its link.
@@ -102,13 +113,10 @@ impl<'a> Links<'a> {
         link: usize,
         frame: &Pose,
         (context, folder): (&mut Context, &mut Folder<'_>),
-    ) -> Result<(), String> {
-        let inertial = bodies::stated_inertia(body, &context.options)?;
-        let mut own = MassSum::default();
-        if let Some(solid) = &inertial {
-            self.masses[link].add(&solid.placed(frame));
-            own.add(&solid.placed(frame));
-        }
+    ) {
+        let inertial = bodies::stated_inertia(body, &context.options);
+        let inertial = context.blockers.keep(inertial).flatten();
+        let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
         let collides = |geom: &Geom| geom.surface.collides();
         let has_contacts = body.geoms.iter().any(collides);
         let first_shape = self.plans[link].shapes.len();
@@ -118,13 +126,11 @@ impl<'a> Links<'a> {
             if !weighs && !is_drawn {
                 continue;
             }
-            let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+            let shape = geom.shape(&mut context.meshes, folder);
+            let Some((shape, pose)) = context.blockers.keep(shape) else { continue };
             let pose = *frame * pose;
-            if weighs {
-                let solid = geom.solid(&shape, &pose, &context.meshes)?;
-                self.masses[link].add(&solid);
-                own.add(&solid);
-            }
+            let solid = weighs.then(|| geom.solid(&shape, &pose, &context.meshes));
+            solids.extend(solid.and_then(|solid| context.blockers.keep(solid)));
             if is_drawn {
                 let touches = context.options.has_contacts && collides(geom);
                 let surface = Some(geom.surface).filter(|_| touches);
@@ -133,18 +139,31 @@ impl<'a> Links<'a> {
                 self.plans[link].shapes.push(plan);
             }
         }
+        let empty = *frame * body.frame.pose();
+        let solids = bounded(solids, &empty, context.options.least);
+        let mut own = MassSum::default();
+        for solid in &solids {
+            self.masses[link].add(solid);
+            own.add(solid);
+        }
         if own.mass() > 0.0 {
             let centre = vector(own.solid().centre);
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
+            context.blockers.keep(self.carry(body, link));
         }
-        let [least_mass, least_inertia] = context.options.least;
-        let moments = own.properties(1.0).principal_inertia().to_array();
-        if own.mass() < least_mass || moments.iter().any(|x| f64::from(*x) < least_inertia) {
-            return Err(body
-                .element
-                .refuse("its mass or inertia is below `boundmass` or `boundinertia`"));
+    }
+
+    /// Scales the weight of a link by the `gravcomp` of its bodies.
+    fn carry(&mut self, body: &Body, link: usize) -> Result<(), String> {
+        let carried = self.carried[link].get_or_insert(body.carried);
+        if *carried != body.carried {
+            let reason = format!(
+                "`gravcomp` must be the same in all bodies of a link, another one has {carried}"
+            );
+            return Err(body.element.refuse(reason));
         }
+        self.plans[link].gravity_scale = (1.0 - *carried) as f32;
         Ok(())
     }
 
@@ -155,13 +174,16 @@ impl<'a> Links<'a> {
         let moving =
             |plan: &LinkPlan| matches!(plan.joint, JointPlan::Free(_) | JointPlan::Planar(_));
         if self.plans.iter().all(LinkPlan::is_base) {
-            return Err("the model has no joints".to_owned());
+            return Err("the model has no joints; a robot needs a body with a joint".to_owned());
         }
         if roots > 1
             && let Some(index) = self.plans.iter().rposition(moving)
         {
             let body = self.bodies[index].unwrap_or(&bodies[0]);
-            let reason = format!("a model with a moving root must have one root, it has {roots}");
+            let reason = format!(
+                "a model with a moving root must have one root, it has {roots}; remove the other bodies \
+                 with joints from the world"
+            );
             return Err(body.element.refuse(reason));
         }
         Ok(())
@@ -174,10 +196,10 @@ impl<'a> Links<'a> {
         let count = self.plans.len();
         for (index, (link, mass)) in self.plans.iter_mut().zip(&self.masses).enumerate() {
             link.mass = mass.properties(factor);
-            if let JointPlan::Free(name) = &link.joint
+            if let JointPlan::Free(joint) = &link.joint
                 && (count == 1 || link.mass.local_com.length() > LARGEST_OFFSET)
             {
-                link.joint = JointPlan::Floating(name.clone());
+                link.joint = JointPlan::Floating(joint.clone());
             }
             // The next link of the same body has its mass.
             let shared = index + 1 < count
@@ -190,11 +212,30 @@ impl<'a> Links<'a> {
                 && !shared
                 && link.mass.inv_mass == 0.0
             {
-                return Err(body.element.refuse("a body that moves must have a mass"));
+                let reason = "a body that moves must have a mass; give it an `inertial` or a shape with a mass";
+                return Err(body.element.refuse(reason));
             }
         }
         Ok(())
     }
+}
+
+/// Parts of a body in its link, or one part in place of them, if the body has less than MuJoCo's `boundmass` or
+/// `boundinertia`. As in MuJoCo, the centre of an empty body is where its own frame is in its parent, but in its own axes.
+fn bounded(solids: Vec<Solid>, empty: &Pose, [mass, inertia]: [f64; 2]) -> Vec<Solid> {
+    if mass <= 0.0 && inertia <= 0.0 {
+        return solids;
+    }
+    let mut sum = MassSum::default();
+    solids.iter().for_each(|solid| sum.add(solid));
+    let whole = sum.solid();
+    let enough = whole.mass >= mass && whole.principal_moments().iter().all(|own| *own >= inertia);
+    if enough {
+        return solids;
+    }
+    let centre =
+        if whole.mass > 0.0 { whole.centre } else { empty.translation.to_array().map(f64::from) };
+    vec![Solid { centre, ..whole.at_least(mass, inertia) }]
 }
 
 impl LinkPlan {

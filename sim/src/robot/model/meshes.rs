@@ -52,9 +52,11 @@ impl Meshes {
         for element in root.all("asset").flat_map(|section| section.all("mesh")) {
             let element = classes.resolve(element, None)?;
             let name = asset_name(&element);
-            let refused =
-                element.refuse("it has neither a name nor a file, or another mesh has its name");
-            if name.is_empty() || assets.insert(name, Asset { element, loaded: None }).is_some() {
+            if name.is_empty() {
+                return Err(element.refuse("it has neither a name nor a file; state one"));
+            }
+            let refused = element.refuse("another mesh has the same name; rename one");
+            if assets.insert(name, Asset { element, loaded: None }).is_some() {
                 return Err(refused);
             }
         }

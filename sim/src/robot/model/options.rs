@@ -1,7 +1,5 @@
 //! Settings of a document: `compiler` and `option`; and the sections that are skipped or refused.
 
-use std::collections::BTreeMap;
-
 use rapier3d::math::Vector;
 
 use super::super::blueprint::{Cone, ContactRules};
@@ -9,6 +7,7 @@ use super::super::document::Element;
 use super::super::frame::{Angles, vector};
 use super::super::softness::Integration;
 use super::super::surface::ContactOverride;
+use super::blockers::Blockers;
 
 /// Sections of a document that are read, or have no effect on the motion.
 const SECTIONS: [&str; 15] = [
@@ -35,7 +34,7 @@ const CHILDREN: [(&str, &[&str]); 4] = [
     ("asset", &["texture", "material", "mesh", "hfield", "skin", "model"]),
     ("contact", &["pair", "exclude"]),
 ];
-const COMPILER: [&str; 20] = [
+const COMPILER: [&str; 22] = [
     "angle",
     "eulerseq",
     "coordinate",
@@ -46,6 +45,8 @@ const COMPILER: [&str; 20] = [
     "strippath",
     "settotalmass",
     "inertiafromgeom",
+    "inertiagrouprange",
+    "fitaabb",
     "boundmass",
     "boundinertia",
     "balanceinertia",
@@ -106,8 +107,12 @@ const FLAGS: [&str; 14] = [
     "eulerdamp",
 ];
 /// Flags that must be enabled.
-const ENABLED: [&str; 7] =
-    ["constraint", "equality", "frictionloss", "limit", "passive", "clampctrl", "actuation"];
+const ENABLED: [&str; 3] = ["passive", "clampctrl", "actuation"];
+/// Flags without which some or all constraints do not act.
+const CONSTRAINTS: [&str; 5] = ["constraint", "contact", "equality", "frictionloss", "limit"];
+
+/// Groups of shapes.
+const ALL_GROUPS: [i64; 2] = [0, 5];
 
 /// Source of the masses of bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -123,6 +128,8 @@ pub(super) struct Options {
     pub(super) angles: Angles,
     pub(super) autolimits: bool,
     pub(super) mass_source: MassSource,
+    /// First and last group of the shapes that have masses.
+    pub(super) mass_groups: [i64; 2],
     /// kg and kg m^2; bodies must not have less.
     pub(super) least: [f64; 2],
     pub(super) total_mass: Option<f64>,
@@ -133,28 +140,41 @@ pub(super) struct Options {
     pub(super) integration: Integration,
     pub(super) has_contacts: bool,
     pub(super) contacts: ContactRules,
+    /// Whether joints have limits.
+    pub(super) has_limits: bool,
+    /// Whether joints have dry friction.
+    pub(super) has_friction: bool,
 }
 
 impl Options {
     /// Reads the settings, and what MuJoCo would do in addition.
-    pub(super) fn read(root: &Element) -> Result<(Self, Vec<String>), String> {
-        check_sections(root)?;
+    pub(super) fn read(root: &Element, blockers: &Blockers) -> Result<(Self, Vec<String>), String> {
+        check_sections(root, blockers);
         let [compiler, option, flags] = merged(root);
-        compiler.only(&[&COMPILER])?;
-        check_fixed(&compiler, &option)?;
+        blockers.keep(compiler.only(&[&COMPILER]));
+        check_fixed(&compiler, &option, blockers);
         let known =
             ["timestep", "gravity", "integrator", "density", "viscosity", "wind", "magnetic"];
-        option.only(&[&SOLVER, &known])?;
-        flags.only(&[&FLAGS, &ENABLED, &["contact", "gravity"]])?;
+        blockers.keep(option.only(&[&SOLVER, &known]));
+        blockers.keep(flags.only(&[&FLAGS, &ENABLED, &CONSTRAINTS, &["gravity"]]));
         for flag in ENABLED {
             if flags.flag(flag)? == Some(false) {
-                return Err(flags.refuse(format!("{flag}=\"disable\" is not supported")));
+                let reason = format!("{flag}=\"disable\" is not supported; remove it");
+                blockers.note(flags.refuse_for(flag, reason));
             }
         }
+        let [constraints, contacts, _, friction, limits] = {
+            let mut all = [true; CONSTRAINTS.len()];
+            for (is_on, flag) in all.iter_mut().zip(CONSTRAINTS) {
+                *is_on = flags.flag(flag)?.unwrap_or(true);
+            }
+            all
+        };
         let mut options = Self {
             angles: angles(&compiler)?,
             autolimits: compiler.flag("autolimits")?.unwrap_or(true),
             mass_source: mass_source(&compiler)?,
+            mass_groups: mass_groups(&compiler)?,
             least: [compiler.number("boundmass", 0.0)?, compiler.number("boundinertia", 0.0)?],
             total_mass: Some(compiler.number("settotalmass", -1.0)?).filter(|mass| *mass > 0.0),
             mesh_folder: folder(&compiler),
@@ -162,11 +182,13 @@ impl Options {
             timestep_secs: option.number("timestep", 0.002)?,
             gravity: vector(option.numbers("gravity")?.unwrap_or([0.0, 0.0, -9.81])),
             integration: integration(&option)?,
-            has_contacts: flags.flag("contact")?.unwrap_or(true),
+            has_contacts: constraints && contacts,
+            has_limits: constraints && limits,
+            has_friction: constraints && friction,
             contacts: contact_rules(&option)?,
         };
         if options.timestep_secs <= 0.0 {
-            return Err(option.refuse("`timestep` must be positive"));
+            return Err(option.refuse_for("timestep", "`timestep` must be positive"));
         }
         if flags.flag("gravity")? == Some(false) {
             options.gravity = Vector::ZERO;
@@ -177,52 +199,46 @@ impl Options {
 
 /// The three elements with all their attributes in the document.
 fn merged(root: &Element) -> [Element; 3] {
-    let merge = |elements: Vec<&Element>, tag: &str| {
-        let mut merged = root.with(BTreeMap::new());
-        merged.tag = tag.to_owned();
-        for element in elements {
-            let mut attributes = std::mem::take(&mut merged.attributes);
-            attributes.extend(element.attributes.clone());
-            merged = element.with(attributes);
-        }
-        merged
-    };
-    let flags = root.all("option").flat_map(|option| option.all("flag")).collect();
-    let of = |tag| root.all(tag).collect();
-    [merge(of("compiler"), "compiler"), merge(of("option"), "option"), merge(flags, "flag")]
+    let flags = root.all("option").flat_map(|option| option.all("flag"));
+    [
+        Element::merged("compiler", root.all("compiler")),
+        Element::merged("option", root.all("option")),
+        Element::merged("flag", flags),
+    ]
 }
 
-fn check_sections(root: &Element) -> Result<(), String> {
-    let unknown = |section: &&Element| !SECTIONS.contains(&section.tag.as_str());
-    if let Some(section) = root.children.iter().find(unknown) {
-        return Err(section.refuse("this element is not supported"));
-    }
+fn check_sections(root: &Element, blockers: &Blockers) {
     for section in &root.children {
+        if !SECTIONS.contains(&section.tag.as_str()) {
+            blockers.note(section.refuse("this element is not supported; remove it"));
+        }
         let known = CHILDREN.iter().find(|(tag, _)| *tag == section.tag);
-        let unknown =
-            |child: &&Element| known.is_some_and(|(_, known)| !known.contains(&child.tag.as_str()));
-        if let Some(child) = section.children.iter().find(unknown) {
-            return Err(child.refuse("this element is not supported"));
+        let Some((_, known)) = known else { continue };
+        for child in section.children.iter().filter(|child| !known.contains(&child.tag.as_str())) {
+            blockers.note(child.refuse("this element is not supported; remove it"));
         }
     }
     for constraint in root.all("equality").flat_map(|section| &section.children) {
-        if constraint.flag("active")? != Some(false) {
-            return Err(constraint.refuse("equality constraints are not supported"));
+        if blockers.keep(constraint.flag("active")).flatten() != Some(false) {
+            let reason =
+                "equality constraints are not supported; remove it, or set active=\"false\"";
+            blockers.note(constraint.refuse(reason));
         }
     }
-    let pairs = root.all("contact").flat_map(|section| section.all("pair"));
-    if let Some(pair) = pairs.into_iter().next() {
-        return Err(pair.refuse("explicit contact pairs are not supported"));
+    for pair in root.all("contact").flat_map(|section| section.all("pair")) {
+        let reason = "explicit contact pairs are not supported; remove it, the shapes' own \
+            `contype`, `conaffinity`, `friction` and `solref` count";
+        blockers.note(pair.refuse(reason));
     }
     let passive = ["stiffness", "damping", "frictionloss", "range", "armature"];
     let acts = |tendon: &&Element| passive.iter().any(|name| tendon.text(name).is_some());
-    match root.all("tendon").flat_map(|section| &section.children).find(acts) {
-        Some(tendon) => Err(tendon.refuse("tendons with forces or limits are not supported")),
-        None => Ok(()),
+    for tendon in root.all("tendon").flat_map(|section| &section.children).filter(acts) {
+        let reason = "tendons with forces or limits are not supported; remove it";
+        blockers.note(tendon.refuse(reason));
     }
 }
 
-fn check_fixed(compiler: &Element, option: &Element) -> Result<(), String> {
+fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
     for (tag, name, value) in FIXED {
         let element = if tag == "compiler" { compiler } else { option };
         let numbers = |text: &str| -> Option<Vec<f64>> {
@@ -233,23 +249,24 @@ fn check_fixed(compiler: &Element, option: &Element) -> Result<(), String> {
                 if text != value
                     && (numbers(text) != numbers(value) || numbers(text).is_none()) =>
             {
-                return Err(element.refuse(format!("{name}=\"{text}\" is not supported")));
+                let reason = format!("{name}=\"{text}\" is not supported; set {value}");
+                blockers.note(element.refuse_for(name, reason));
             }
             _ => {}
         }
     }
-    Ok(())
 }
 
 fn angles(compiler: &Element) -> Result<Angles, String> {
     let degrees = match compiler.text("angle") {
         None | Some("degree") => true,
         Some("radian") => false,
-        Some(_) => return Err(compiler.refuse("`angle` must be degree or radian")),
+        Some(_) => return Err(compiler.refuse_for("angle", "`angle` must be degree or radian")),
     };
     let sequence = compiler.text("eulerseq").unwrap_or("xyz").to_owned();
     if sequence.len() != 3 || !sequence.chars().all(|letter| "xyzXYZ".contains(letter)) {
-        return Err(compiler.refuse("`eulerseq` must be three of the letters x, y, z, X, Y and Z"));
+        let reason = "`eulerseq` must be three of the letters x, y, z, X, Y and Z";
+        return Err(compiler.refuse_for("eulerseq", reason));
     }
     Ok(Angles { degrees, sequence })
 }
@@ -259,8 +276,16 @@ fn mass_source(compiler: &Element) -> Result<MassSource, String> {
         None | Some("auto") => Ok(MassSource::Stated),
         Some("true") => Ok(MassSource::Shapes),
         Some("false") => Ok(MassSource::Inertials),
-        Some(_) => Err(compiler.refuse("`inertiafromgeom` must be true, false or auto")),
+        Some(_) => {
+            let reason = "`inertiafromgeom` must be true, false or auto";
+            Err(compiler.refuse_for("inertiafromgeom", reason))
+        }
     }
+}
+
+fn mass_groups(compiler: &Element) -> Result<[i64; 2], String> {
+    let range = compiler.numbers::<2>("inertiagrouprange")?;
+    Ok(range.map_or(ALL_GROUPS, |range| range.map(|group| group as i64)))
 }
 
 fn folder(compiler: &Element) -> String {
@@ -272,7 +297,11 @@ fn integration(option: &Element) -> Result<Integration, String> {
     match option.text("integrator") {
         None | Some("Euler" | "implicit" | "implicitfast") => Ok(Integration::Euler),
         Some("RK4") => Ok(Integration::RungeKutta),
-        Some(name) => Err(option.refuse(format!("the integrator `{name}` is not supported"))),
+        Some(name) => {
+            let reason =
+                format!("the integrator `{name}` is not supported; set Euler, implicitfast or RK4");
+            Err(option.refuse_for("integrator", reason))
+        }
     }
 }
 
@@ -280,11 +309,11 @@ fn contact_rules(option: &Element) -> Result<ContactRules, String> {
     let cone = match option.text("cone") {
         None | Some("pyramidal") => Cone::Pyramidal,
         Some("elliptic") => Cone::Elliptic,
-        Some(_) => return Err(option.refuse("`cone` must be pyramidal or elliptic")),
+        Some(_) => return Err(option.refuse_for("cone", "`cone` must be pyramidal or elliptic")),
     };
     let impratio = option.number("impratio", 1.0)?;
     if impratio <= 0.0 {
-        return Err(option.refuse("`impratio` must be positive"));
+        return Err(option.refuse_for("impratio", "`impratio` must be positive"));
     }
     Ok(ContactRules { cone, impratio, stated: ContactOverride::default() })
 }

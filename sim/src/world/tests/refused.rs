@@ -73,7 +73,10 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
         (geom("size=\"0.1\" condim=\"2\""), "line 4, <geom>: `condim` must be 1, 3, 4 or 6"),
         (geom("size=\"1e5\""), "line 4, <geom>: `size` must have at most 3 numbers, each at most"),
         (geom("type=\"box\" size=\"1 1 1 1\""), "line 4, <geom>: `size` must have at most 3"),
-        (document("<body mocap=\"true\"/>", ""), "line 3, <body>: mocap bodies"),
+        (
+            document(&format!("<body mocap=\"true\"><geom size=\"1\"/></body>{LOPSIDED}"), ""),
+            "line 3, <geom>: a mocap body is skipped, so nothing may touch it",
+        ),
     ]);
 }
 
@@ -107,7 +110,7 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
         (
             actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
-            "line 6, <motor>: the attribute `tendon`",
+            "line 6, <motor>: an actuator must act on a joint, not on a tendon",
         ),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
@@ -115,8 +118,12 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
             "line 6, <general joint=\"j\">: actuators with an activation",
         ),
         (
-            actuator("<position joint=\"j\" dampratio=\"1\"/>"),
-            "line 6, <position joint=\"j\">: the attribute `dampratio`",
+            actuator("<position joint=\"j\" timeconst=\"0.1\" ctrlrange=\"0 1\"/>"),
+            "line 6, <position joint=\"j\">: `timeconst` is not supported",
+        ),
+        (
+            actuator("<position joint=\"j\" dampratio=\"1\" kv=\"1\" ctrlrange=\"0 1\"/>"),
+            "line 6, <position joint=\"j\">: `dampratio` must not be negative, nor stated with `kv`",
         ),
         (
             section("<equality>\n<weld body1=\"b\"/></equality>"),

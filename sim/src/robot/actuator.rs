@@ -1,0 +1,63 @@
+//! Actuators as they are shown to people: what they act on, their controls, and their largest torques.
+
+use super::Robot;
+use super::blueprint::MotorPlan;
+
+/// An actuator of a robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Actuator<'a> {
+    /// Name of the actuator; that of its joint, unless the model states one or the joint has several.
+    pub name: &'a str,
+    /// Name of the hinge or slide that it moves.
+    pub joint: &'a str,
+    /// Range of its control.
+    pub control: [f32; 2],
+    /// What limits its torque.
+    pub torque: Torque,
+}
+
+/// The largest torque of an actuator, N m, or force of one on a slide, N.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Torque {
+    /// Of a motor, whose torque depends on the control only.
+    Motor(f32),
+    /// Of a servo, whose torque also depends on the joint's position or speed; `None` without a limit.
+    Servo(Option<f32>),
+}
+
+impl Robot {
+    /// Actuators in the model's order.
+    pub fn actuators(&self) -> impl Iterator<Item = Actuator<'_>> {
+        self.blueprint.motors.iter().map(|motor| {
+            let limit = self.layout.hinges[motor.hinge].plan.torque_range.map(largest);
+            let torque = match motor.servo {
+                Some(servo) if servo.bias[1..] != [0.0; 2] => {
+                    let own = servo.range.map(|range| motor.gear.abs() * largest(range));
+                    Torque::Servo(own.into_iter().chain(limit).reduce(f32::min))
+                }
+                _ => {
+                    let ends = motor.range.map(|control| motor.torque(control).unwrap_or(0.0));
+                    Torque::Motor(limit.map_or(largest(ends), |limit| largest(ends).min(limit)))
+                }
+            };
+            Actuator { name: &motor.name, joint: &motor.joint, control: motor.range, torque }
+        })
+    }
+}
+
+fn largest([a, b]: [f32; 2]) -> f32 {
+    a.abs().max(b.abs())
+}
+
+impl MotorPlan {
+    /// Torque for a control, which is clamped to its range, without the joint's limit, N m; `None` if it also depends on
+    /// the robot's motion.
+    pub(crate) fn torque(&self, control: f32) -> Option<f32> {
+        let control = control.clamp(self.range[0], self.range[1]);
+        let Some(servo) = self.servo else { return Some(self.gear * control) };
+        let [constant, stiffness, slope] = servo.bias;
+        let force = servo.gain * control + constant;
+        let force = servo.range.map_or(force, |[low, high]| force.clamp(low, high));
+        (stiffness == 0.0 && slope == 0.0).then_some(self.gear * force)
+    }
+}

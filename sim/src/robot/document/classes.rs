@@ -1,0 +1,114 @@
+//! Default classes of a document.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::iter;
+
+use super::Element;
+
+/// Actuators share one default, whatever their tag.
+const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
+const MAIN: &str = "main";
+/// Elements with defaults.
+const DEFAULTS: [&str; 19] = [
+    "mesh",
+    "material",
+    "joint",
+    "geom",
+    "site",
+    "camera",
+    "light",
+    "pair",
+    "equality",
+    "tendon",
+    "general",
+    "motor",
+    "position",
+    "velocity",
+    "damper",
+    "intvelocity",
+    "cylinder",
+    "muscle",
+    "adhesion",
+];
+
+/// Default classes: for each tag an element with the attributes of the class and of its parents.
+#[derive(Debug)]
+pub(in crate::robot) struct Classes(BTreeMap<String, BTreeMap<String, Element>>);
+
+impl Classes {
+    /// Reads all `default` elements of a document.
+    pub(in crate::robot) fn new(root: &Element) -> Result<Self, String> {
+        let mut classes = Self(BTreeMap::from([(MAIN.to_owned(), BTreeMap::new())]));
+        for default in root.all("default") {
+            let main = classes.0.remove(MAIN).unwrap_or_default();
+            classes.add(default, MAIN, main)?;
+        }
+        // All outermost elements describe the main class, which then has their names too.
+        let main = classes.0.get(MAIN).cloned().unwrap_or_default();
+        let names: BTreeSet<&str> =
+            root.all("default").filter_map(|default| default.text("class")).collect();
+        for name in names.into_iter().filter(|name| *name != MAIN) {
+            if classes.0.insert(name.to_owned(), main.clone()).is_some() {
+                let mut twice =
+                    root.all("default").filter(|default| default.text("class") == Some(name));
+                let reason = format!("two defaults have the class `{name}`; rename one");
+                return Err(twice.next().map_or(reason.clone(), |default| default.refuse(reason)));
+            }
+        }
+        Ok(classes)
+    }
+
+    fn add(
+        &mut self,
+        default: &Element,
+        name: &str,
+        mut class: BTreeMap<String, Element>,
+    ) -> Result<(), String> {
+        default.only(&[&["class"]])?;
+        for child in default.children.iter().filter(|child| child.tag != "default") {
+            if !DEFAULTS.contains(&child.tag.as_str()) {
+                return Err(child.refuse("this element is not supported; remove it"));
+            }
+            let slot = slot(&child.tag);
+            let base = class.entry(slot.to_owned());
+            base.or_insert_with(|| Element::merged(slot, iter::empty())).overlay(child);
+        }
+        for child in default.all("default") {
+            let name = child.text("class").ok_or_else(|| child.refuse("it has no `class`"))?;
+            self.add(child, name, class.clone())?;
+        }
+        match self.0.insert(name.to_owned(), class) {
+            None => Ok(()),
+            Some(_) => {
+                Err(default.refuse(format!("two defaults have the class `{name}`; rename one")))
+            }
+        }
+    }
+
+    /// An element with the attributes of its class: its own `class`, else `childclass`, else the main class. It has no
+    /// children.
+    pub(in crate::robot) fn resolve(
+        &self,
+        element: &Element,
+        childclass: Option<&str>,
+    ) -> Result<Element, String> {
+        let name = element.text("class").or(childclass).unwrap_or(MAIN);
+        let class = self.0.get(name);
+        let class =
+            class.ok_or_else(|| element.refuse(format!("no default has the class `{name}`")))?;
+        if let Some(child) = element.children.first() {
+            return Err(child.refuse("this element is not supported; remove it"));
+        }
+        let mut resolved = element.with(BTreeMap::new());
+        if let Some(defaults) = class.get(slot(&element.tag)) {
+            resolved.overlay(defaults);
+        }
+        resolved.overlay(element);
+        element.attributes.keys().for_each(|name| drop(resolved.stated.remove(name)));
+        Ok(resolved)
+    }
+}
+
+fn slot(tag: &str) -> &str {
+    if ACTUATORS.contains(&tag) { "actuator" } else { tag }
+}

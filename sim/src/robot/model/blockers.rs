@@ -1,0 +1,80 @@
+//! What of a model cannot be built, collected over the whole document, so that one message names everything.
+
+use std::cell::RefCell;
+
+/// Most reasons in a message.
+const MOST_SHOWN: usize = 20;
+
+/// Reasons why a model cannot be built.
+#[derive(Debug, Default)]
+pub(super) struct Blockers(RefCell<Vec<String>>);
+
+impl Blockers {
+    /// Notes a reason.
+    pub(super) fn note(&self, reason: String) {
+        let mut reasons = self.0.borrow_mut();
+        // A default that cannot be built is one reason, however many elements it applies to.
+        let cause = |reason: &str| {
+            reason.split_once("; it is the default of").map(|(cause, _)| cause.to_owned())
+        };
+        let is_known = |known: &String| {
+            *known == reason || cause(known).is_some_and(|known| Some(known) == cause(&reason))
+        };
+        if !reasons.iter().any(is_known) {
+            reasons.push(reason);
+        }
+    }
+
+    /// The value; an error is noted.
+    pub(super) fn keep<T>(&self, result: Result<T, String>) -> Option<T> {
+        result.map_err(|reason| self.note(reason)).ok()
+    }
+
+    /// Whether nothing was noted. What follows from a missing part is not worth a message.
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.borrow().is_empty()
+    }
+
+    /// All reasons as one error, each in a line if there are several.
+    pub(super) fn finish(&self) -> Result<(), String> {
+        let reasons = self.0.borrow();
+        let more = reasons.len().saturating_sub(MOST_SHOWN);
+        match reasons.as_slice() {
+            [] => Ok(()),
+            [reason] => Err(reason.clone()),
+            all => {
+                let mut text = format!("{} things are not supported", all.len());
+                all.iter().take(MOST_SHOWN).for_each(|reason| text += &format!("\n  {reason}"));
+                if more > 0 {
+                    text += &format!("\n  and {more} more");
+                }
+                Err(text)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn twenty_reasons_are_named_and_the_rest_is_counted() {
+        let blockers = Blockers::default();
+        assert_eq!(blockers.finish(), Ok(()));
+        (0..23).for_each(|line| blockers.note(format!("line {line}")));
+        blockers.note("line 3".to_owned());
+        let text = blockers.finish().unwrap_err();
+        assert!(text.starts_with("23 things are not supported\n  line 0\n  line 1\n"), "{text}");
+        assert!(text.ends_with("\n  line 19\n  and 3 more"), "{text}");
+    }
+
+    #[test]
+    fn a_default_that_applies_to_several_elements_is_one_reason() {
+        let blockers = Blockers::default();
+        for joint in ["a", "b"] {
+            blockers.note(format!("line 2, <joint>: no; it is the default of line 9, <{joint}>"));
+        }
+        assert_eq!(blockers.finish().unwrap_err().matches("line 2").count(), 1);
+    }
+}

@@ -1,0 +1,24 @@
+//! Keyframes: poses, motions and controls that a model names.
+
+use super::super::blueprint::Keyframe;
+use super::super::document::Element;
+use super::blockers::Blockers;
+
+const KNOWN: [&str; 8] = ["name", "time", "qpos", "qvel", "act", "ctrl", "mpos", "mquat"];
+
+/// Reads all keyframes. Their lengths are checked where a task starts from one.
+pub(super) fn read(root: &Element, blockers: &Blockers) -> Vec<Keyframe> {
+    let keys = root.all("keyframe").flat_map(|section| &section.children).enumerate();
+    keys.filter_map(|(index, key)| blockers.keep(keyframe(index, key))).collect()
+}
+
+fn keyframe(index: usize, key: &Element) -> Result<Keyframe, String> {
+    key.only(&[&KNOWN])?;
+    let numbers = |name: &str| key.list(name).map(Option::unwrap_or_default);
+    Ok(Keyframe {
+        name: key.text("name").map_or_else(|| index.to_string(), str::to_owned),
+        positions: numbers("qpos")?,
+        velocities: numbers("qvel")?,
+        controls: numbers("ctrl")?,
+    })
+}

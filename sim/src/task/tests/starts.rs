@@ -1,0 +1,210 @@
+//! Tests of starts, of the actions around them, of ends by features, and of warnings.
+
+use super::*;
+
+/// The example with a keyframe that bends hip and knee, whose rest is a rad off zero, and with these actuators and lines of
+/// the task file.
+fn kneeling(actuators: &str, lines: &str) -> Result<Box<dyn EnvironmentBatch>, String> {
+    let file = changed("[start]\n", &format!("{lines}\n[start]\nkeyframe = \"home\"\n"));
+    let mut config = config(&file, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    let section = model.find("<actuator>").unwrap()..model.find("</actuator>").unwrap();
+    model.replace_range(section, &format!("<actuator>{actuators}"));
+    *model = model.replace("name=\"knee\" range=\"-2 0\"", "name=\"knee\" range=\"-2 0\" ref=\"-1\"").replace(
+        "</mujoco>",
+        "<keyframe><key name=\"home\" qpos=\"0 -0.1 0.2 0.5 -1.5\" qvel=\"1 0 0 0 2\" ctrl=\"0.4 -0.9\"/>\
+         <key qpos=\"0 0\"/><key name=\"free\" qpos=\"0 0 0 0.5 -1.5\"/></keyframe></mujoco>",
+    );
+    environments(&config, 1).map_err(|error| error.to_string())
+}
+
+const SERVOS: &str = "<position joint=\"hip\" kp=\"50\" ctrlrange=\"-0.5 1.5\"/>\
+    <general joint=\"knee\" gainprm=\"40\" biastype=\"affine\" biasprm=\"4 -40 -2\" ctrlrange=\"-2 0\"/>";
+
+fn feature(world: &dyn EnvironmentBatch, name: &str) -> f32 {
+    let index = world.description().state.iter().position(|feature| feature.name == name);
+    world.state_of(0)[index.unwrap()]
+}
+
+fn assert_range(world: &dyn EnvironmentBatch, agent: usize, expected: [f32; 2]) {
+    let [found] = world.control_ranges(agent)[..] else { panic!("one control") };
+    let off = (found[0] - expected[0]).abs().max((found[1] - expected[1]).abs());
+    assert!(off < 1e-6, "{found:?} against {expected:?}");
+}
+
+#[test]
+fn an_episode_starts_from_a_keyframe_in_the_models_own_coordinates() {
+    let mut world = kneeling(SERVOS, "").unwrap();
+    world.reset(0, 0, 1000, [1; 32]).unwrap();
+    for (name, stated) in [
+        ("rootz.position", -0.1),
+        ("hip.position", 0.5),
+        ("knee.position", -1.5),
+        ("rootx.velocity", 1.0),
+        ("knee.velocity", 2.0),
+    ] {
+        let value = feature(&*world, name);
+        assert!((value - stated).abs() <= 0.005 && value != stated, "{name}: {value}");
+    }
+    let wrong = |name: &str| {
+        let file = changed("[start]\n", &format!("[start]\nkeyframe = \"{name}\"\n"));
+        let mut config = config(&file, ObservationMode::FullId);
+        let model = &mut config.definition.as_mut().unwrap().model;
+        let keys = "<keyframe><key name=\"home\" qpos=\"0 0\"/></keyframe></mujoco>";
+        *model = model.replace("</mujoco>", keys);
+        environments(&config, 1).map(drop).map_err(|error| error.to_string())
+    };
+    let lost = wrong("hom").unwrap_err();
+    assert!(lost.contains("no keyframe `hom`; did you mean `home`?; it has home"), "{lost}");
+    let short = wrong("home").unwrap_err();
+    assert!(short.contains("`qpos` has 2 numbers, the robot has 5"), "{short}");
+}
+
+#[test]
+fn actions_around_the_start_are_changes_of_its_controls() {
+    let around = |lines: &str| kneeling(SERVOS, &format!("[actions]\naround = \"start\"\n{lines}"));
+    // The keyframe states the controls 0.4 and -0.9.
+    let scaled = around("scale = 0.25").unwrap();
+    assert_range(&*scaled, 0, [0.15, 0.65]);
+    assert_range(&*scaled, 1, [-1.15, -0.65]);
+    assert_range(&*around("").unwrap(), 1, [-1.9, 0.1]);
+    let alone = kneeling(SERVOS, "[actions]\nscale = 0.25").err().unwrap();
+    assert!(alone.contains("actions.scale needs around = \"start\""), "{alone}");
+}
+
+#[test]
+fn without_controls_of_a_keyframe_an_action_of_0_holds_the_start() {
+    let file = changed(
+        "[start]\n",
+        "[actions]\naround = \"start\"\nscale = 0.5\n[start]\ncoordinates = { hip = 0.3, knee = -0.8 }\n",
+    );
+    let mut config = config(&file, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    let section = model.find("<actuator>").unwrap()..model.find("</actuator>").unwrap();
+    model.replace_range(section, &format!("<actuator>{SERVOS}"));
+    let world = environments(&config, 1).unwrap();
+    // 50 (c - 0.3) = 0, and 40 c + 4 - 40 (-0.8) = 0.
+    assert_range(&*world, 0, [-0.2, 0.8]);
+    assert_range(&*world, 1, [-1.4, -0.4]);
+}
+
+#[test]
+fn an_episode_ends_when_a_feature_or_the_tilt_leaves_its_range() {
+    let steps = |healthy: &str| {
+        let row =
+            HOPPER.find("coordinate = \"rootz\"").unwrap()..HOPPER.find("\n# Noise on").unwrap();
+        let mut file = HOPPER.to_owned();
+        file.replace_range(row, healthy);
+        let mut world = hopper(&file);
+        world.reset(0, 0, 1000, [1; 32]).unwrap();
+        let mut outcome = [Outcome::default()];
+        (1..).find(|_| {
+            world.step(&[0.0, 0.0], &mut outcome).unwrap();
+            outcome[0].is_end()
+        })
+    };
+    assert_eq!(steps("feature = \"upright\"\nbelow = 0.9"), Some(1));
+    // It tips over by 60 degrees.
+    assert!(steps("feature = \"upright\"\nabove = 0.5") > Some(20));
+    assert_eq!(steps("feature = \"rootx.velocity\"\nabove = 100.0"), Some(1));
+    let both = refusal(&changed(
+        "coordinate = \"rootz\"",
+        "coordinate = \"rootz\"\nfeature = \"upright\"",
+    ));
+    assert!(both.contains("either a `coordinate` or a `feature`"), "{both}");
+    let lost = refusal(&changed("coordinate = \"rootz\"", "feature = \"rootz.velociti\""));
+    assert!(lost.contains("did you mean `rootz.velocity`?; it has rootz.position, "), "{lost}");
+}
+
+/// Warnings about the example with a changed model and other coordinates of its start.
+fn warnings([from, to]: [&str; 2], coordinates: &str) -> Vec<String> {
+    let file = changed("[start]\n", &format!("[start]\ncoordinates = {{ {coordinates} }}\n"));
+    let mut config = config(&file, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    assert!(model.contains(from));
+    *model = model.replace(from, to);
+    environments(&config, 1).unwrap().warnings()
+}
+
+#[test]
+fn a_start_that_cannot_be_meant_is_named() {
+    let same = ["hopper", "hopper"];
+    assert_eq!(warnings(same, ""), [""; 0]);
+    // The foot is a sphere of 0.04 m around z = 1.2 - 0.2 - 0.4 - 0.5 = 0.1 m.
+    let deep = warnings(same, "rootz = -0.26");
+    assert!(deep[0].contains("starts 0.200 m deep in the floor"), "{deep:?}");
+    let bent = warnings(same, "knee = 0.25, hip = -0.6");
+    let expected = "2 joints start outside the limits, `hip` by 0.100 rad, `knee` by 0.250 rad";
+    assert!(bent.len() == 1 && bent[0].starts_with(expected), "{bent:?}");
+    let plane = "<geom name=\"floor\" type=\"plane\" size=\"40 40 40\" friction=\"0.9 0.1 0.1\" conaffinity=\"1\"/>";
+    let bottomless = warnings([plane, ""], "");
+    assert!(bottomless[0].contains("has no floor that it can touch"), "{bottomless:?}");
+    let ghost = warnings(["conaffinity=\"1\"", "conaffinity=\"2\""], "");
+    assert!(ghost[0].contains("has no floor that it can touch"), "{ghost:?}");
+}
+
+#[test]
+fn an_episode_starts_at_the_stated_coordinates() {
+    let file = changed(
+        "positions = { uniform = 0.005 }",
+        "coordinates = { rootz = 0.1, knee = -0.4 }\npositions = { uniform = 0.005 }",
+    );
+    let mut world = hopper(&file);
+    world.reset(0, 0, 1000, [1; 32]).unwrap();
+    let features = world.description().state.iter().map(|feature| feature.name.clone());
+    let features: Vec<String> = features.collect();
+    let mut state = vec![0.0; features.len()];
+    world.state(0, &mut state);
+    for (name, stated) in [("rootz", 0.1), ("rooty", 0.0), ("hip", 0.0), ("knee", -0.4)] {
+        let name = format!("{name}.position");
+        let value = state[features.iter().position(|feature| *feature == name).unwrap()];
+        assert!((value - stated).abs() <= 0.005 && value != stated, "{name}: {value}");
+    }
+}
+
+#[test]
+fn a_start_outside_the_bounds_of_a_state_is_refused() {
+    for (start, part) in [
+        ("positions = { uniform = -1 }", "start.positions must lie in"),
+        ("positions = { uniform = 9.0 }", "the start moves `hip` out of"),
+        ("coordinates = { hipp = 0.1 }", "did you mean `hip`?"),
+        ("coordinates = { knee = nan }", "the start moves `knee` out of"),
+    ] {
+        let message = refusal(&changed("positions = { uniform = 0.005 }", start));
+        assert!(message.contains(part) && !message.contains('\n'), "{start}: {message}");
+    }
+}
+
+#[test]
+fn a_joint_stands_for_all_its_actuators_and_an_actuator_for_one_of_them() {
+    let built = |agents: &str| {
+        let mut config =
+            config(&changed("[[\"hip\"], [\"knee\"]]", agents), ObservationMode::KNearest);
+        let definition = config.definition.as_mut().unwrap();
+        let (from, to) = ("</actuator>", "<motor joint=\"knee\" gear=\"8\"/></actuator>");
+        assert!(definition.model.contains(from));
+        definition.model = definition.model.replacen(from, to, 1);
+        environments(&config, 1).map_err(|error| error.to_string())
+    };
+    let mut world = built("[[\"hip\"], [\"knee\"]]").unwrap();
+    let joints = world.description().agents.iter().map(|agent| agent.joints.as_slice());
+    assert_eq!(joints.collect::<Vec<_>>(), [["hip"].as_slice(), &["knee", "knee"]]);
+    let mut outcome = [Outcome::default()];
+    world.step(&[0.0, 0.5, -0.25], &mut outcome).unwrap();
+    // Both act on the joint: 80 x 0.5 - 8 x 0.25.
+    assert_eq!(world.world(0).unwrap().torque("knee"), Some(38.0));
+    let apart = built("[[\"hip\", \"knee.motor\"], [\"knee\"]]").err().unwrap();
+    assert!(apart.contains("the joint `knee` is named twice"), "{apart}");
+}
+
+#[test]
+fn a_task_without_agents_or_actuators_is_refused() {
+    let none = refusal(&changed("[[\"hip\"], [\"knee\"]]", "[]"));
+    assert!(none.contains("a partition needs at least one agent"), "{none}");
+    let mut config = config(HOPPER, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    let section = model.find("<actuator>").unwrap()..model.find("</actuator>").unwrap();
+    model.replace_range(section, "<actuator>");
+    let none = environments(&config, 1).err().unwrap().to_string();
+    assert!(none.contains("the model has no actuators"), "{none}");
+}

@@ -1,0 +1,88 @@
+//! Tests of what vendors' models contain: markers, missing control ranges, flags, and messages of several lines.
+
+use super::{LOPSIDED, document, robot, robot_of_files};
+use crate::robot::one_document;
+
+/// Control range of the actuator of a joint from -0.5 to 1.5, whose torque is at most 20 N m.
+fn range(actuator: &str) -> [f32; 2] {
+    let body = "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\" range=\"-0.5 1.5\" actuatorfrcrange=\"-20 20\"/>\
+        <geom size=\"0.1\"/></body>";
+    robot(&document(body, actuator)).unwrap().actuators().next().unwrap().control
+}
+
+#[test]
+fn a_missing_control_range_follows_from_those_of_the_joint_and_the_force() {
+    for (actuator, expected) in [
+        ("<position joint=\"j\" kp=\"5\"/>", [-0.5, 1.5]),
+        ("<position joint=\"j\" kp=\"5\" inheritrange=\"0.5\"/>", [0.0, 1.0]),
+        ("<position joint=\"j\" kp=\"5\" gear=\"-2\"/>", [-3.0, 1.0]),
+        ("<motor joint=\"j\" gear=\"4\"/>", [-5.0, 5.0]),
+        ("<motor joint=\"j\" gear=\"4\" forcerange=\"-2 3\"/>", [-2.0, 3.0]),
+        ("<motor joint=\"j\" ctrllimited=\"false\" ctrlrange=\"-1 1\"/>", [-20.0, 20.0]),
+        ("<motor joint=\"j\" ctrlrange=\"-1 1\"/>", [-1.0, 1.0]),
+    ] {
+        assert_eq!(range(actuator), expected, "{actuator}");
+    }
+}
+
+#[test]
+fn a_mocap_marker_is_skipped_in_both_documents() {
+    let marker = "<body name=\"target\" mocap=\"true\" pos=\"1 0 1\">\
+        <geom size=\"0.02\" contype=\"0\" conaffinity=\"0\"/><body name=\"tip\"/></body>";
+    let mesh = "<geom type=\"mesh\" mesh=\"trough\"/>";
+    let legs = "<body name=\"leg\"><joint name=\"j\"/><geom size=\"0.1\"/></body>";
+    let mjcf = document(&format!("<body name=\"a\">{mesh}</body>{marker}{legs}"), "");
+    let mjcf =
+        mjcf.replace("<worldbody>", "<asset><mesh file=\"parts/trough.obj\"/></asset><worldbody>");
+    let read = |path: &str| match path {
+        "a.xml" => Ok(mjcf.clone().into_bytes()),
+        _ => Ok(super::trough().into_bytes()),
+    };
+    let direct = robot_of_files(&mjcf, &read).unwrap();
+    let flat = robot(&one_document("a.xml", read).unwrap()).unwrap();
+    for robot in [direct, flat] {
+        assert_eq!(robot.bodies(), ["world", "a", "leg"]);
+        assert_eq!(robot.coordinate_names(), ["j"]);
+    }
+}
+
+#[test]
+fn without_contacts_walls_touch_nothing() {
+    let wall = format!("<geom type=\"box\" size=\"1 1 1\"/>{LOPSIDED}");
+    let off = document(&wall, "")
+        .replace("/><worldbody>", "><flag contact=\"disable\"/></option><worldbody>");
+    assert!(off.contains("disable"));
+    let robot = robot(&off).unwrap();
+    assert!(robot.blueprint().grounds.is_empty() && robot.left_out().is_empty());
+}
+
+#[test]
+fn everything_that_cannot_be_built_is_named_in_lines_of_their_own() {
+    let bodies = "<body><joint name=\"a\" type=\"ball\"/>\n<geom type=\"hfield\"/>\n\
+        <body><joint name=\"b\" springdamper=\"1 1\"/></body></body>";
+    let actuators = "\n<motor joint=\"a\" ctrlrange=\"-1 1\"/>\n<muscle joint=\"b\"/>";
+    let text = robot(&document(bodies, actuators)).err().unwrap();
+    let lines: Vec<&str> = text.lines().map(str::trim).collect();
+    assert!(lines[0].ends_with("4 things are not supported"), "{text}");
+    for (line, start) in lines[1..].iter().zip([
+        "line 3, <joint name=\"a\">: the type `ball`",
+        "line 4, <geom>: the type `hfield`",
+        "line 5, <joint name=\"b\">: the attribute `springdamper`",
+        "line 9, <muscle joint=\"b\">: this actuator",
+    ]) {
+        assert!(line.starts_with(start), "{line} instead of {start}");
+    }
+}
+
+#[test]
+fn a_default_is_named_with_its_own_line_and_the_element_that_has_it() {
+    let defaults = "<default>\n<joint stiffness=\"1\"/>\n</default><option viscosity=\"1\"/>\n<option density=\"0\"/>";
+    let free =
+        "<body pos=\"0 0 1\"><joint name=\"root\" type=\"free\"/><geom size=\"0.1\"/></body>";
+    let mjcf = document(free, "").replace("<worldbody>", &format!("{defaults}<worldbody>"));
+    let text = robot(&mjcf).err().unwrap();
+    let stiffness = "line 2, <joint>: `stiffness` of a free joint must be 0; use <freejoint/>, or set stiffness=\"0\" here; \
+        it is the default of line 6, <joint name=\"root\">";
+    assert!(text.contains(stiffness), "{text}");
+    assert!(text.contains("line 3, <option>: viscosity=\"1\" is not supported; set 0"), "{text}");
+}

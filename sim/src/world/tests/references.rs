@@ -1,0 +1,52 @@
+//! Actuators and motions that MuJoCo computes for the same models; `tests/reference/mujoco_models.py` records them.
+
+use serde_json::Value;
+
+use super::{motion, reference, robot, world_of};
+
+fn numbers(value: &Value) -> Vec<f32> {
+    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap() as f32).collect()
+}
+
+#[test]
+fn actuators_have_mujocos_gains_and_ranges() {
+    let reference = reference();
+    let mut compared = 0;
+    for (model, expected) in reference["models"].as_object().unwrap() {
+        let robot = robot(expected["mjcf"].as_str().unwrap()).unwrap();
+        for expected in expected["motors"].as_array().unwrap() {
+            let name = expected["name"].as_str().unwrap();
+            let motors = &robot.blueprint().motors;
+            let motor = motors.iter().find(|motor| motor.name == name).unwrap();
+            assert_eq!(motor.joint, expected["joint"].as_str().unwrap(), "{model} {name}");
+            let servo = motor.servo.unwrap();
+            let found = [&[motor.gear, servo.gain], &servo.bias[..], &motor.range[..]].concat();
+            let [gear, gain] = ["gear", "gain"].map(|key| expected[key].as_f64().unwrap() as f32);
+            let [bias, range] = ["bias", "range"].map(|key| numbers(&expected[key]));
+            for (got, want) in found.iter().zip([vec![gear, gain], bias, range].concat()) {
+                assert!((got - want).abs() <= 2e-5 * want.abs(), "{model} {name}: {found:?}");
+            }
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, 4);
+}
+
+/// Both integrate with steps of a millisecond, by different rules.
+#[test]
+fn motions_follow_mujocos() {
+    for (name, expected) in reference()["motions"].as_object().unwrap() {
+        let mut world = world_of(expected["mjcf"].as_str().unwrap());
+        let mut speeds = numbers(&expected["velocities"]);
+        speeds.resize(world.robot().velocity_names().len(), 0.0);
+        let rest = world.robot().rest().to_vec();
+        world.rebuild(&rest, &speeds);
+        let controls = numbers(&expected["controls"]);
+        for _ in 0..expected["steps"].as_u64().unwrap() {
+            assert!(world.step(&controls));
+        }
+        let (at, reached) = (motion(&world).0, numbers(&expected["qpos"]));
+        let off = at.iter().zip(&reached).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off < 0.006, "{name}: {at:?} against {reached:?}");
+    }
+}
