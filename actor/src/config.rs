@@ -111,47 +111,32 @@ mod tests {
     }
 
     #[test]
-    fn plain_text_to_another_machine_needs_a_flag() {
-        for url in ["http://127.0.0.1:1", "http://localhost:1", "http://[::1]:1"] {
-            assert_eq!(refusal(url, Transport::PlainTextOnLoopback), "accepted", "{url}");
-        }
-        for url in ["http://10.0.0.1:1", "http://learner:1", "http://localhost@learner:1"] {
-            let line = refusal(url, Transport::PlainTextOnLoopback);
-            assert!(line.contains("another machine"), "{line}");
-            assert_eq!(refusal(url, Transport::PlainText), "accepted", "{url}");
-        }
-    }
-
-    #[test]
-    fn an_environment_uses_plain_text_and_must_be_local_without_a_flag() {
-        let check = |url: &str, transport: &Transport| {
-            check_environment(url, transport).map_err(|error| error.to_string())
-        };
-        assert_eq!(check("http://[::1]:7", &Transport::PlainTextOnLoopback), Ok(()));
-        assert_eq!(check("http://gpu-box:7", &Transport::PlainText), Ok(()));
-        for (url, why) in [
-            ("http://gpu-box:7", "another machine"),
-            ("https://localhost:7", "write http://HOST:PORT"),
-            ("localhost:7", "write http://HOST:PORT"),
-            ("http://localhost:70000", "the port 70000 is not a number from 0 to 65535"),
+    fn plain_text_to_another_machine_needs_a_flag_and_the_scheme_must_match_the_certificates() {
+        use Transport::{PlainText, PlainTextOnLoopback};
+        let (port, another) = ("the port 70000 is not a number from 0 to 65535", "another machine");
+        let (scheme, http) = (": write http://HOST:50051", "write http://HOST:PORT");
+        for (url, transport, learner, environment) in [
+            ("http://127.0.0.1:1", PlainTextOnLoopback, "accepted", "accepted"),
+            ("http://localhost:1", PlainTextOnLoopback, "accepted", "accepted"),
+            ("http://[::1]:1", PlainTextOnLoopback, "accepted", "accepted"),
+            ("http://10.0.0.1:1", PlainTextOnLoopback, another, another),
+            ("http://10.0.0.1:1", PlainText, "accepted", "accepted"),
+            ("http://learner:1", PlainTextOnLoopback, another, another),
+            ("http://learner:1", PlainText, "accepted", "accepted"),
+            ("http://localhost@learner:1", PlainTextOnLoopback, another, another),
+            ("http://localhost@learner:1", PlainText, "accepted", "accepted"),
+            ("https://learner:1", PlainText, "needs --tls-ca", http),
+            ("http://localhost:70000", PlainTextOnLoopback, port, port),
+            ("localhost:50051", PlainTextOnLoopback, scheme, http),
+            ("localhost", PlainTextOnLoopback, scheme, http),
+            ("ftp://localhost", PlainTextOnLoopback, scheme, http),
+            ("", PlainTextOnLoopback, "invalid learner URL", http),
         ] {
-            let line = check(url, &Transport::PlainTextOnLoopback).unwrap_err();
-            assert!(line.contains(why), "{line}");
-        }
-    }
-
-    #[test]
-    fn the_scheme_must_match_the_certificates() {
-        let line = refusal("https://learner:1", Transport::PlainText);
-        assert!(line.contains("needs --tls-ca"), "{line}");
-        let line = refusal("http://localhost:70000", Transport::PlainTextOnLoopback);
-        assert!(line.contains("the port 70000 is not"), "{line}");
-        for url in ["localhost:50051", "localhost", "ftp://localhost", ""] {
-            let line = refusal(url, Transport::PlainTextOnLoopback);
-            assert!(
-                line.contains("invalid learner URL") && line.contains(": write http://"),
-                "{line}"
-            );
+            let checked = check_environment(url, &transport);
+            let line = checked.map_or_else(|error| error.to_string(), |()| "accepted".to_owned());
+            assert!(line.contains(environment), "{url}: {line}");
+            let line = refusal(url, transport);
+            assert!(line.contains(learner), "{url}: {line}");
         }
     }
 }

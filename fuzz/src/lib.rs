@@ -1,14 +1,14 @@
 //! What a fuzz target and the inputs that it begins with must agree on.
 
-use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, ActorPolicy, CoreKind, Head, PolicyConfig, PolicySnapshot};
+#[expect(dead_code, reason = "the tests of rollouts need more of it")]
+#[path = "../../rollout/tests/rollout/fixture.rs"]
+mod fixture;
+
+use policy::randomness::RunSeed;
 use proto::{Digest, PolicyVersion, WeightsName};
 use recording::RecordedRun;
 use rollout::EvaluationEpisode;
-use sim::{
-    ContactForces, EnvironmentBatch, ObservationConfig, ObservationMode, ObservationNorm, RootView,
-    TaskConfig, TaskDefinition,
-};
+use sim::{EnvironmentBatch, ObservationConfig, ObservationNorm, TaskConfig, TaskDefinition};
 
 /// A robot of each kind and the game; an input of `environment_state` names one by its place here.
 pub const TASKS: [&str; 4] = ["halfcheetah-2x3", "walker2d-2x3", "ant-2x4", "cue-2x1"];
@@ -18,20 +18,14 @@ pub const TASKS: [&str; 4] = ["halfcheetah-2x3", "walker2d-2x3", "ant-2x4", "cue
 /// # Panics
 /// If the task is not known.
 #[must_use]
-pub fn world(task: &str) -> Box<dyn EnvironmentBatch> {
-    let config =
-        TaskConfig { task: task.to_owned(), definition: None, observation: observation() };
-    sim::environments(&config, 1).expect("a known task")
+pub fn world(name: &str) -> Box<dyn EnvironmentBatch> {
+    sim::environments(&task(name, None), 1).expect("a known task")
 }
 
-fn observation() -> ObservationConfig {
-    ObservationConfig {
-        mode: ObservationMode::FullId,
-        norm: ObservationNorm::None,
-        nearest: 0,
-        globals: RootView::Shown,
-        contact_forces: ContactForces::Absent,
-    }
+fn task(name: &str, definition: Option<TaskDefinition>) -> TaskConfig {
+    let usual = fixture::task().observation;
+    let observation = ObservationConfig { norm: ObservationNorm::None, ..usual };
+    TaskConfig { task: name.to_owned(), definition, observation }
 }
 
 /// A small recorded run: two episodes of at most eight steps of the hopper of docs/ADDING_A_TASK.md.
@@ -40,13 +34,11 @@ fn observation() -> ObservationConfig {
 /// If the hopper cannot be recorded.
 #[must_use]
 pub fn recording() -> Vec<u8> {
-    let config = hopper();
+    let mut definition = TaskDefinition::example();
+    definition.file = definition.file.replace("episode_steps = 1000", "episode_steps = 8");
+    let config = task("hopper-2x1", Some(definition));
     let mut world = sim::environments(&config, 1).expect("the documented example");
-    let sizes = world.description().agents.iter();
-    let sizes = sizes.map(|agent| (agent.observation.len(), agent.action.size));
-    let agents =
-        sizes.map(|(observation, action)| small_policy(CoreKind::Mlp, observation, action));
-    let policy = PolicySnapshot { agents: agents.collect() };
+    let policy = fixture::policy_for(world.description());
     let run = RecordedRun {
         policy: &policy,
         weights: WeightsName { version: PolicyVersion(3), digest: Digest([9; 32]) },
@@ -59,32 +51,4 @@ pub fn recording() -> Vec<u8> {
     recording::record(world.as_mut(), &run, &[episode(0), episode(1)], file.path(), |_, _| {})
         .expect("the hopper can be recorded");
     std::fs::read(file.path()).expect("the file just written")
-}
-
-fn hopper() -> TaskConfig {
-    let mut definition = TaskDefinition::example();
-    definition.file = definition.file.replace("episode_steps = 1000", "episode_steps = 8");
-    TaskConfig {
-        task: "hopper-2x1".to_owned(),
-        definition: Some(definition),
-        observation: observation(),
-    }
-}
-
-/// A network of a few units.
-///
-/// # Panics
-/// If it cannot be built.
-#[must_use]
-pub fn small_policy(core: CoreKind, observation: usize, action: usize) -> ActorPolicy {
-    let config = PolicyConfig {
-        encoder: 4,
-        hidden: 3,
-        width: 4,
-        backpropagation_steps: 5,
-        ..policy::probe::config(core)
-    };
-    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
-    let network = ActorNetwork::new(&config, observation, action, Head::Gaussian, &mut rng);
-    network.and_then(|network| network.policy()).expect("a small network")
 }

@@ -7,9 +7,9 @@ mod sample;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use fuzz::{TASKS, recording, small_policy, world};
-use policy::randomness::{Draw, DrawKey, Purpose, RunSeed};
-use policy::{CoreKind, PolicySnapshot};
+use fuzz::{TASKS, recording, world};
+use policy::randomness::{Draw, DrawKey, Purpose, RunSeed, generator};
+use policy::{ActorNetwork, ActorPolicy, CoreKind, Head, PolicyConfig, PolicySnapshot};
 use prost::Message;
 use proto::wire::play_response::Answer;
 use proto::wire::push_trajectory_request::Content;
@@ -113,6 +113,20 @@ fn policies() -> Vec<Seed> {
         snapshot(&[CoreKind::Mlp]),
         snapshot(&[CoreKind::Gru, CoreKind::Mlp]),
     ]
+}
+
+/// A network of a few units.
+fn small_policy(core: CoreKind, observation: usize, action: usize) -> ActorPolicy {
+    let config = PolicyConfig {
+        encoder: 4,
+        hidden: 3,
+        width: 4,
+        backpropagation_steps: 5,
+        ..policy::probe::config(core)
+    };
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Initialisation));
+    let network = ActorNetwork::new(&config, observation, action, Head::Gaussian, &mut rng);
+    network.and_then(|network| network.policy()).expect("a small network")
 }
 
 /// Robots at rest and at the start of an episode.

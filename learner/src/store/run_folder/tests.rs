@@ -72,18 +72,6 @@ fn a_folder_is_a_run_from_its_manifest_on_and_is_resumed_only_with_its_settings(
 }
 
 #[test]
-fn a_damaged_manifest_is_written_again_at_the_next_start_and_says_what_it_does_not_know() {
-    let folder = tempdir().unwrap();
-    drop(begun(folder.path()));
-    fs::write(folder.path().join(MANIFEST), "").unwrap();
-    assert_eq!(RunFolder::recorded_config_sha256(folder.path()), None);
-    let run = resumed(folder.path()).unwrap();
-    run.begin("", &start()).unwrap();
-    assert_eq!(RunFolder::recorded_config_sha256(folder.path()).as_deref(), Some("aa"));
-    assert_eq!(run.manifest().unwrap()["foreign_actors"], Value::Null);
-}
-
-#[test]
 fn every_start_is_a_line_and_the_manifest_keeps_the_first() {
     let folder = tempdir().unwrap();
     let start = |commit: &str| json!({"config_sha256": "aa", "commit": commit});
