@@ -67,6 +67,12 @@ mod tests {
     }
 
     #[test]
+    fn the_first_of_the_likeliest_is_the_mode() {
+        assert_eq!(mode(&[0.1, -2.0, 0.7, 0.7]), 2);
+        assert_eq!(mode(&[0.0, 0.0]), 0);
+    }
+
+    #[test]
     fn choices_are_drawn_in_proportion_to_their_probabilities() {
         let mut counts = [0_i32; 3];
         for step in 0..60_000 {

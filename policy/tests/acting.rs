@@ -123,18 +123,3 @@ fn a_row_has_the_same_bits_and_the_same_action_in_every_batch() {
         }
     }
 }
-
-#[test]
-fn projection_holds_sigma_at_its_floor_and_leaves_the_rest_alone() {
-    let network = network_of(CoreKind::Gru, Head::Gaussian, 11);
-    let before = network.policy().unwrap().sigma().to_vec();
-    network.project().unwrap();
-    assert_eq!(network.policy().unwrap().sigma(), before);
-    let spans = network.parameters().spans();
-    let span = spans.iter().find(|span| span.name == "head.log_std").unwrap();
-    let log_std = &network.parameters().vars()[span.var];
-    log_std.set(&Tensor::new(&[-9.0_f32, 0.0], &Device::Cpu).unwrap()).unwrap();
-    network.project().unwrap();
-    let sigma = network.policy().unwrap().sigma().to_vec();
-    assert!((sigma[0] - 0.05).abs() < 1e-6 && (sigma[1] - 0.25).abs() < 1e-6, "{sigma:?}");
-}

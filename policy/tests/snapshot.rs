@@ -66,14 +66,6 @@ fn a_snapshot_says_how_to_act_after_a_round_trip_and_equal_policies_have_equal_b
 }
 
 #[test]
-fn the_first_of_the_likeliest_choices_is_the_mode() {
-    let mut action = [9.0];
-    let choosing = agent(CoreKind::Gru, 1, Head::Categorical { choices: 5 });
-    choosing.mode(&[0.1, -2.0, 0.7, 0.7, 0.2], &mut action);
-    assert_eq!(action, [2.0]);
-}
-
-#[test]
 fn a_later_agent_with_the_first_ones_network_repeats_its_bytes() {
     let mut snapshot = snapshot();
     assert_eq!(repeats(&snapshot.to_bytes().unwrap()).unwrap(), []);

@@ -69,12 +69,8 @@ mod tests {
         6.0, 1.0, 0.003, 7.0,
     ];
 
-    fn unfitted() -> DiagonalGaussian {
-        DiagonalGaussian(Moments::new(vec![0, 2, 3]))
-    }
-
     fn fitted() -> DiagonalGaussian {
-        let mut density = unfitted();
+        let mut density = DiagonalGaussian(Moments::new(vec![0, 2, 3]));
         density.fit(Observations { data: &ROWS, width: 4 }, ONCE).unwrap();
         density
     }

@@ -69,7 +69,7 @@ fn assert_finite(algorithm: &mut dyn Algorithm, report: &Report, case: &dyn Debu
     assert!(state.iter().all(|number| number.is_finite()), "{case:?}");
 }
 
-fn named(report: &Report, name: &str) -> f64 {
+pub(super) fn named(report: &Report, name: &str) -> f64 {
     let found = report.iter().find(|(own, _)| own == name);
     found.unwrap_or_else(|| panic!("{name} is not among {report:?}")).1
 }

@@ -91,27 +91,6 @@ fn observe(world: &impl TwoAgentGame, agent: usize) -> Vec<f32> {
     [world.state(), number.to_vec()].concat()
 }
 
-/// One agent's step in all worlds; `act` chooses the actions.
-fn act<W: TwoAgentGame>(
-    (worlds, step): (&[W], usize),
-    (agent, policy): (usize, &ActorPolicy),
-    (hidden, data): (&mut [f32], &mut AgentBatch),
-    act: &mut impl FnMut(Turn<'_>) -> f32,
-) {
-    if step.is_multiple_of(policy.chunk_steps()) {
-        data.hidden.extend_from_slice(hidden);
-    }
-    let seen: Vec<f32> = worlds.iter().flat_map(|world| observe(world, agent)).collect();
-    let mut outputs = vec![0.0; worlds.len() * policy.output_size()];
-    policy.forward(worlds.len(), &seen, hidden, &mut outputs, &mut Scratch::default());
-    for (environment, output) in outputs.chunks_exact(policy.output_size()).enumerate() {
-        let action = act(Turn { agent, environment, step, policy, output });
-        data.action.push(action);
-        data.log_prob.push(policy.log_prob(output, &[action]));
-    }
-    data.observation.extend(seen);
-}
-
 /// Plays one episode in each of `worlds`, and returns their final states; `choose` chooses the actions.
 fn play<W: TwoAgentGame>(
     snapshot: &PolicySnapshot,
@@ -132,8 +111,20 @@ fn play<W: TwoAgentGame>(
     for step in 0..W::STEPS {
         batch.state.extend(worlds.iter().flat_map(TwoAgentGame::state));
         for (agent, policy) in snapshot.agents.iter().enumerate() {
-            let memory = (hidden[agent].as_mut_slice(), &mut batch.agents[agent]);
-            act((&worlds, step), (agent, policy), memory, &mut choose);
+            let data = &mut batch.agents[agent];
+            if step.is_multiple_of(policy.chunk_steps()) {
+                data.hidden.extend(&hidden[agent]);
+            }
+            let seen: Vec<f32> = worlds.iter().flat_map(|world| observe(world, agent)).collect();
+            let mut outputs = vec![0.0; ENVIRONMENTS * policy.output_size()];
+            let scratch = &mut Scratch::default();
+            policy.forward(ENVIRONMENTS, &seen, &mut hidden[agent], &mut outputs, scratch);
+            for (environment, output) in outputs.chunks_exact(policy.output_size()).enumerate() {
+                let action = choose(Turn { agent, environment, step, policy, output });
+                data.action.push(action);
+                data.log_prob.push(policy.log_prob(output, &[action]));
+            }
+            data.observation.extend(seen);
         }
         for (environment, world) in worlds.iter_mut().enumerate() {
             let row = step * ENVIRONMENTS + environment;

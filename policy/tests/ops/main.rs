@@ -82,28 +82,6 @@ fn results(y: &Tensor, parameters: &Var, x: &Var) -> [Tensor; 3] {
     [double(y), by(parameters), by(x)]
 }
 
-/// A pass of the fused network.
-fn fused(specs: &[LayerSpec], inputs: usize) -> [Tensor; 3] {
-    let (parameters, stack) = stack(specs);
-    let x = Var::from_tensor(&single(normal(2, &[ROWS, inputs]))).unwrap();
-    let (start, mask) = (single(normal(3, &[SEQUENCES, 18])), single(mask()));
-    let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
-    let y = stack.weights().unwrap().apply(&x, recurrent).unwrap();
-    results(&y, &parameters.vars()[0], &x)
-}
-
-/// The parameters of [`stack`] in double precision.
-fn twin_parameters(specs: &[LayerSpec]) -> Var {
-    Var::from_tensor(&double(&stack(specs).0.vars()[0])).unwrap()
-}
-
-/// Every layer's result for `x` with these parameters, in double precision.
-fn twin(specs: &[LayerSpec], x: &Tensor, parameters: &Tensor) -> Vec<Tensor> {
-    let (start, mask) = (normal(3, &[SEQUENCES, 18]), mask());
-    let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
-    plain::network(&network_of(specs), x, parameters, recurrent).unwrap()
-}
-
 fn largest(tensor: &Tensor) -> f64 {
     tensor.abs().unwrap().max_all().unwrap().to_scalar::<f64>().unwrap()
 }
@@ -111,11 +89,21 @@ fn largest(tensor: &Tensor) -> f64 {
 #[test]
 fn fused_networks_are_within_a_few_millionths_of_their_twins_in_double_precision() {
     for (specs, inputs) in networks() {
-        let (parameters, x) = (twin_parameters(&specs), normal(2, &[ROWS, inputs]));
+        let (parameters, stack) = stack(&specs);
+        let input = normal(2, &[ROWS, inputs]);
+        let start = normal(3, &[SEQUENCES, 18]);
+        let mask = mask();
+        let x = Var::from_tensor(&input).unwrap();
+        let twin = Var::from_tensor(&double(&parameters.vars()[0])).unwrap();
+        let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
+        let y = plain::network(&network_of(&specs), &x, &twin, recurrent).unwrap();
+        let expected = results(&y, &twin, &x);
+        let (x, start, mask) = (single(input), single(start), single(mask));
         let x = Var::from_tensor(&x).unwrap();
-        let layers = twin(&specs, &x, &parameters);
-        let expected = results(&layers[layers.len() - 1], &parameters, &x);
-        for (found, expected) in fused(&specs, inputs).iter().zip(&expected) {
+        let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
+        let y = stack.weights().unwrap().apply(&x, recurrent).unwrap();
+        let found = results(&y, &parameters.vars()[0], &x);
+        for (found, expected) in found.iter().zip(&expected) {
             let off = largest(&(found - expected).unwrap()) / largest(expected);
             assert!(off < 5e-6, "{specs:?}: off by {off}");
         }

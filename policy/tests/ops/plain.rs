@@ -4,33 +4,32 @@ use candle_core::{Result, Tensor};
 use candle_nn::ops::{layer_norm_slow, sigmoid};
 use policy::ops::{Activation, LAYER_NORM_EPSILON, Layer, Network, RecurrentInput};
 
-/// The input `x` `[R, in]` and every layer's result, for a network with the parameters `flat`.
+/// The output `[R, out]` for `x` `[R, in]` of a network with the parameters `flat`.
 pub(crate) fn network(
     network: &Network,
     x: &Tensor,
     flat: &Tensor,
     recurrent: Option<RecurrentInput<'_>>,
-) -> Result<Vec<Tensor>> {
+) -> Result<Tensor> {
     let mut taken = 0;
     let mut next = |shape: &[usize]| {
         let count = shape.iter().product();
         taken += count;
         flat.narrow(0, taken - count, count)?.reshape(shape)
     };
-    let mut results = vec![x.clone()];
+    let mut y = x.clone();
     for layer in network.layers() {
-        let x = &results[results.len() - 1];
-        let y = match *layer {
+        y = match *layer {
             Layer::Norm { width } => {
-                layer_norm_slow(x, &next(&[width])?, &next(&[width])?, LAYER_NORM_EPSILON)?
+                layer_norm_slow(&y, &next(&[width])?, &next(&[width])?, LAYER_NORM_EPSILON)?
             }
             Layer::Linear { inputs, outputs, activation } => {
-                linear(x, &next(&[outputs, inputs])?, &next(&[outputs])?, activation)?
+                linear(&y, &next(&[outputs, inputs])?, &next(&[outputs])?, activation)?
             }
             Layer::Gru { inputs, hidden } => {
                 let identity = Activation::Identity;
                 let gates = 3 * hidden;
-                let projected = linear(x, &next(&[gates, inputs])?, &next(&[gates])?, identity)?;
+                let projected = linear(&y, &next(&[gates, inputs])?, &next(&[gates])?, identity)?;
                 let Some(RecurrentInput { start, mask }) = recurrent else {
                     candle_core::bail!("a recurrent network needs states and a mask")
                 };
@@ -38,9 +37,8 @@ pub(crate) fn network(
                 gru_sequence(&projected, &w_hh, &b_hh, start, mask)?
             }
         };
-        results.push(y);
     }
-    Ok(results)
+    Ok(y)
 }
 
 /// `activation(x W^T + b)`: `x` is `[R, in]`, `w` `[out, in]`, `b` `[out]`.

@@ -17,17 +17,12 @@ fn with_state(shape: &[u32], data: Bytes) -> Result<TrajectoryChunk, Refusal> {
 }
 
 #[test]
-fn shapes_whose_product_overflows_are_refused_without_an_allocation() {
+fn a_shape_that_overflows_or_has_four_mebibytes_is_refused_without_an_allocation() {
     for shape in [&[u32::MAX; 2][..], &[u32::MAX; 3], &[u32::MAX; 1000], &[1 << 31, 1 << 31, 0]] {
         assert_refused(with_state(shape, Bytes::new()), BadShape, "chunk.state");
     }
-}
-
-#[test]
-fn four_mebibytes_in_one_tensor_are_refused_by_their_shape() {
-    let refusal = with_state(&[1 << 20], vec![0; MAX_MESSAGE_BYTES].into()).unwrap_err();
-    assert!(refusal.detail.contains("[1048576], expected [2, 2, 4]"), "{refusal}");
-    assert_refused(Err::<(), _>(refusal), BadShape, "chunk.state");
+    let large = with_state(&[1 << 20], vec![0; MAX_MESSAGE_BYTES].into());
+    assert_refused(large, BadShape, "chunk.state");
 }
 
 #[test]

@@ -82,14 +82,6 @@ fn the_chunks_of_a_slot_are_complete_and_survive_the_protocol() {
 }
 
 #[test]
-fn every_choice_is_drawn() {
-    let chunks = roll(&cue(), &fresh_work());
-    let actions: Vec<f32> =
-        chunks.iter().flat_map(|chunk| chunk.agents[1].action.clone()).collect();
-    assert!([0.0, 1.0, 2.0].iter().all(|choice| actions.contains(choice)), "{actions:?}");
-}
-
-#[test]
 fn a_truncated_episode_has_its_final_state_and_resets_the_recurrent_state() {
     let chunks = roll(&task(), &fresh_work());
     let ends: Vec<(u32, u32)> =

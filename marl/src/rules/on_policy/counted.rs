@@ -45,6 +45,7 @@ mod tests {
     use crate::data::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
     use crate::rules::algorithm::Report;
     use crate::rules::build;
+    use crate::rules::tests::named;
     use crate::sample;
 
     const STEPS: usize = 20;
@@ -143,10 +144,6 @@ mod tests {
         };
         let mut algorithm = build(config, &policy, &problem(cue), RunSeed(0)).unwrap();
         algorithm.update(batch, &vec![batch.reward.clone(); 2], 0).unwrap()
-    }
-
-    fn named(report: &Report, name: &str) -> f64 {
-        report.iter().find(|(own, _)| own == name).unwrap().1
     }
 
     #[test]
