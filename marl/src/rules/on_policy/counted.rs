@@ -75,7 +75,6 @@ mod tests {
             action_range: (0.0, 2.0),
             surprise_features: (0..cue.features()).collect(),
             kind: ActionKind::Discrete { choices: CHOICES },
-            ..sample::problem().agents.remove(0)
         };
         Problem { agents: vec![shape.clone(), shape], state: PLACES }
     }
