@@ -5,7 +5,7 @@
 #[path = "../../../../proto/tests/wire/sample.rs"]
 mod sample;
 
-use proto::{ActionSpec, ActorId, AgentChunk, LeaseId, SlotEnd};
+use proto::{ActionSpec, ActorId, AgentChunk, LeaseId};
 
 use super::*;
 
@@ -61,10 +61,7 @@ fn chunk(slot: usize, sequence: u32) -> TrajectoryChunk {
             (false, 1) => vec![FinalStep { step: 1, ..last_step(0) }],
             (false, _) => vec![],
         },
-        end: last.then(|| SlotEnd {
-            environments: vec![vec![slot as u8, 0], vec![slot as u8, 1]],
-            recurrent: vec![vec![0.25, 0.75]],
-        }),
+        ..TrajectoryChunk::default()
     }
 }
 

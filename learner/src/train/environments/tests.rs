@@ -84,27 +84,19 @@ fn the_mean_is_that_of_the_last_twenty_episodes() {
 }
 
 #[test]
-fn the_next_iteration_continues_from_the_end_states_of_the_slots() {
-    let mut environments = fresh(9, Phase::Lockstep);
-    environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
-    let starts: Vec<Start> =
-        environments.work(1, 2).remove(0).environments.into_iter().map(|e| e.start).collect();
-    let first = Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.1, 0.2]] };
-    let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
-    assert_eq!(starts, [first, second]);
-}
-
-#[test]
-fn an_environment_that_begins_again_has_the_next_episode_and_survives_a_checkpoint() {
+fn environments_continue_from_the_end_states_of_slots_or_begin_the_next_episode() {
     let mut environments = fresh(9, Phase::Staggered);
     environments.begin_again(0);
-    assert_eq!(environments, fresh(9, Phase::Staggered));
+    assert_eq!(environments, fresh(9, Phase::Staggered), "it continues no episode");
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
+    let starts = |all: Vec<EnvironmentStart>| all.into_iter().map(|e| e.start).collect::<Vec<_>>();
+    let first = Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.1, 0.2]] };
+    let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
+    let next = environments.work(1, 2).remove(0).environments;
+    assert_eq!(starts(next), [first, second.clone()]);
     environments.begin_again(0);
     let first = Start::Fresh { episode: 1, limit: 9 };
-    let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
-    let starts = environments.starts_of(&[0, 1]).into_iter().map(|e| e.start);
-    assert_eq!(starts.collect::<Vec<_>>(), [first, second]);
+    assert_eq!(starts(environments.starts_of(&[0, 1])), [first, second]);
     let mut restored = fresh(9, Phase::Staggered);
     restored.restore(&environments.arrays(), 1).unwrap();
     assert_eq!(restored, environments);
