@@ -9,9 +9,7 @@ mod instructions;
 mod iteration;
 mod load;
 mod peak;
-mod physics;
 mod processes;
-mod products;
 mod run_in_process;
 mod scaling;
 mod settings;
@@ -47,9 +45,7 @@ const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 /// Name of a section, description of its rows, and the function that measures them.
 type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<CaseRow>>);
 
-const SECTIONS: [Measurement; 13] = [
-    ("products", "matrix products of single floats on one core", products::rows),
-    ("physics", "environment steps on one core under random actions", physics::rows),
+const SECTIONS: [Measurement; 11] = [
     ("inference", "one step of a slot: all its agents in all its environments", inference::rows),
     ("shapes", "the updates below: preset `harl`, 20 environments x 200 steps", shapes::rows),
     ("update", "one update; its parts on one thread", update::rows),

@@ -1,97 +1,56 @@
-//! The same run without network: by function calls alone, and with the trainer, slot table and checks, but with actors
-//! as threads that call the exchange.
+//! The same run without network: with the trainer, slot table and checks, but with actors as threads that call the
+//! exchange.
 
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread::{Builder, scope};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use learner::launch;
 use learner::lease::exchange::Exchange;
-use learner::lease::slots::{ConnectionId, Preview, ResultPart, SlotRollout};
-use learner::train::assemble::assemble;
+use learner::lease::slots::{ConnectionId, Preview, ResultPart};
 use learner::train::environments::Environments;
 use learner::train::trainer::Outside;
 use policy::PolicySnapshot;
 use proto::{
-    ActorId, Lease, LeaseAnswer, LeaseId, PROTOCOL_VERSION, PushHeader, Registration, RolloutWork,
-    RunDescription, TrajectoryChunk, Work,
+    Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Registration, RolloutWork, RunDescription,
+    TrajectoryChunk, Work,
 };
 
-use crate::clock::{once, process_secs};
-use crate::iteration::{Iteration, IterationLog};
+use crate::iteration::IterationLog;
 use crate::settings::CaseSettings;
 use crate::update::Updates;
 
 /// Rollout threads.
 pub(crate) const ACTORS: usize = 2;
 
-/// Iterations by function calls: rollout of the slots, assembly of `D_k`, update.
-pub(crate) fn by_calls(
-    settings: &CaseSettings,
-    folder: &Path,
-    iterations: usize,
-) -> anyhow::Result<Vec<Iteration>> {
-    let (_trainer, run) = launch::prepare(settings.launch(folder, iterations)?)?;
-    let config = &settings.learner.environments;
-    let mut environments = Environments::fresh(&run, config.count, config.phase);
-    let mut updates = Updates::new(settings, &settings.problem()?, ACTORS)?;
-    let mut worlds: Vec<_> =
-        (0..ACTORS).map(|_| settings.world(per_slot(settings))).collect::<Result<_, _>>()?;
-    let mut found = Vec::new();
-    for iteration in 0..iterations as u64 {
-        let (begin, used) = (Instant::now(), process_secs());
-        let policy = updates.snapshot()?;
-        let slots = environments.work(iteration, per_slot(settings));
-        let (rollouts, rolled) = once(|| roll_out_all(&run, &slots, &policy, &mut worlds));
-        let batch = assemble(&run, &rollouts);
-        let updated = updates.run(&batch)?.whole.wall;
-        environments.advance(&batch, &rollouts);
-        let whole = begin.elapsed().as_secs_f64();
-        let processor = process_secs() - used;
-        found.push(Iteration { rollout: rolled.wall, update: updated, whole, processor });
-    }
-    Ok(found)
-}
-
 fn per_slot(settings: &CaseSettings) -> usize {
     settings.learner.environments.per_slot
 }
 
-/// Rolls out all slots, distributed over one thread per world.
-fn roll_out_all(
-    run: &RunDescription,
-    slots: &[RolloutWork],
-    policy: &PolicySnapshot,
-    worlds: &mut [Box<dyn sim::EnvironmentBatch>],
-) -> Vec<SlotRollout> {
-    let share = slots.len().div_ceil(worlds.len());
-    scope(|scope| {
-        let start = |(own, world)| {
-            let work = move || roll_out_some(run, own, policy, world);
-            Builder::new().name("actor".to_owned()).spawn_scoped(scope, work).expect("a thread")
-        };
-        // All threads are started before the first is joined.
-        let threads: Vec<_> = slots.chunks(share).zip(worlds).map(start).collect();
-        threads.into_iter().flat_map(|thread| thread.join().expect("no slot panics")).collect()
-    })
+/// The first slot of a new run, with the policies and the environments that roll it out.
+pub(crate) struct FirstSlot {
+    pub(crate) run: RunDescription,
+    pub(crate) work: RolloutWork,
+    pub(crate) policy: PolicySnapshot,
+    world: Box<dyn sim::EnvironmentBatch>,
 }
 
-fn roll_out_some(
-    run: &RunDescription,
-    slots: &[RolloutWork],
-    policy: &PolicySnapshot,
-    world: &mut Box<dyn sim::EnvironmentBatch>,
-) -> Vec<SlotRollout> {
-    let one = |work: &RolloutWork| SlotRollout {
-        slot: work.slot,
-        actor: ActorId(0),
-        lease: LeaseId(0),
-        chunks: roll_out(run, work, policy, world.as_mut()),
-        digests: vec![],
-    };
-    slots.iter().map(one).collect()
+impl FirstSlot {
+    pub(crate) fn of(settings: &CaseSettings) -> anyhow::Result<Self> {
+        let folder = tempfile::tempdir()?;
+        let (_trainer, run) = launch::prepare(settings.launch(folder.path(), 1)?)?;
+        let policy = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;
+        let count = per_slot(settings);
+        let environments = Environments::fresh(&run, count, settings.learner.environments.phase);
+        let work = environments.work(0, count).remove(0);
+        Ok(Self { run, work, policy, world: settings.world(count)? })
+    }
+
+    pub(crate) fn roll_out(&mut self) -> Vec<TrajectoryChunk> {
+        roll_out(&self.run, &self.work, &self.policy, &mut *self.world)
+    }
 }
 
 /// Rolls out all chunks of a slot.

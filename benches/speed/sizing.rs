@@ -1,17 +1,14 @@
 //! The number of actor cores that suits a learner, from the costs of rollouts and update on one core. Rollouts end
 //! before the update begins, so with as many actor cores as the ratio of the costs, each side works half of the time.
 
-use learner::train::environments::Environments;
-use marl::Problem;
-
 use crate::Effort;
 use crate::clock::typical;
-use crate::run_in_process::roll_out;
+use crate::run_in_process::FirstSlot;
 use crate::scaling::update_secs;
 use crate::settings::CaseSettings;
 use crate::synthetic;
 use crate::table::CaseRow;
-use crate::update::{TASKS, Updates};
+use crate::update::TASKS;
 
 pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let mut rows = Vec::new();
@@ -30,7 +27,9 @@ fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<CaseRow> {
     let problem = settings.problem()?;
     let batch = synthetic::batch(&problem, &settings.policy, (steps, environments.count));
     let (wall, learner) = update_secs(&settings, &problem, &batch, effort)?;
-    let rate = (steps * per_slot) as f64 / slot_secs(&settings, &problem, effort)?;
+    let mut slot = FirstSlot::of(&settings)?;
+    let took = typical(effort.repeats, || drop(slot.roll_out()));
+    let rate = (steps * per_slot) as f64 / took.thread;
     let total = (steps * environments.count) as f64;
     let figures = vec![
         ("env steps/s of an actor core", rate),
@@ -40,19 +39,4 @@ fn row(task: &str, preset: &str, effort: Effort) -> anyhow::Result<CaseRow> {
         ("actor cores for one learner core", total / rate / learner),
     ];
     Ok(CaseRow { case: format!("{task} {preset}"), figures })
-}
-
-/// Time of one actor for one slot, seconds.
-fn slot_secs(settings: &CaseSettings, problem: &Problem, effort: Effort) -> anyhow::Result<f64> {
-    let folder = tempfile::tempdir()?;
-    let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
-    let config = &settings.learner.environments;
-    let fresh = Environments::fresh(&run, config.per_slot, config.phase);
-    let (work, policy) = (
-        fresh.work(0, settings.learner.environments.per_slot).remove(0),
-        Updates::new(settings, problem, 1)?.snapshot()?,
-    );
-    let mut world = settings.world(settings.learner.environments.per_slot)?;
-    let took = typical(effort.repeats, || drop(roll_out(&run, &work, &policy, &mut *world)));
-    Ok(took.thread)
 }

@@ -1,10 +1,8 @@
-//! Cost of the network: the same iterations by function calls, through the exchange, and over gRPC on loopback.
+//! Cost of the network: the same iterations through the exchange and over gRPC on loopback.
 
 use std::path::Path;
 use std::process::{Child, Stdio};
 
-use learner::train::environments::Environments;
-use policy::PolicySnapshot;
 use prost::Message as _;
 use proto::wire::push_trajectory_request::Content;
 use proto::{Digest, Incarnation, Lease, LeaseId, PolicyVersion, PushHeader, WeightsName, Work};
@@ -14,20 +12,19 @@ use tokio::sync::watch;
 use crate::Effort;
 use crate::end_to_end::COLD;
 use crate::iteration::{Iteration, IterationLog, typical};
-use crate::run_in_process::{ACTORS, by_calls, roll_out, through_the_exchange};
+use crate::run_in_process::{ACTORS, FirstSlot, through_the_exchange};
 use crate::settings::{self, CaseSettings, program};
 use crate::table::CaseRow;
-use crate::update::{CORES, TASKS, Updates};
+use crate::update::{CORES, TASKS};
 
 pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     let settings = CaseSettings::of(&["halfcheetah-6x1"])?;
     let length = COLD + effort.iterations;
-    let (mut calls, mut exchange, mut grpc) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut exchange, mut grpc) = (Vec::new(), Vec::new());
     // Interleaved, so that other work on the machine affects all of them equally.
     for round in 0..effort.repeats.min(2) {
         let folder = tempfile::tempdir()?;
         let place = |name: &str| folder.path().join(format!("{name}-{round}"));
-        calls.extend(by_calls(&settings, &place("calls"), length)?.split_off(COLD));
         let log = through_the_exchange(&settings, &place("exchange"), length)?;
         exchange.extend(log.after(COLD));
         grpc.extend(over_grpc(&settings, &place("grpc"), length)?.after(COLD));
@@ -48,7 +45,6 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
         CaseRow { case: case.to_owned(), figures }
     };
     Ok(vec![
-        row("plain calls", &calls),
         row("actors as threads, through the exchange", &exchange),
         row("actors as processes, over gRPC", &grpc),
     ])
@@ -91,37 +87,14 @@ pub(crate) fn traffic(_effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
 }
 
 fn traffic_row(case: String, settings: &CaseSettings) -> anyhow::Result<CaseRow> {
-    let (slot, snapshot) = recorded(settings)?;
-    let environments = &settings.learner.environments;
-    let steps = (environments.per_slot * environments.steps) as f64;
-    let figures = vec![
-        ("slot, bytes", slot.bytes as f64),
-        ("bytes per env step", slot.bytes as f64 / steps),
-        ("weights, bytes", snapshot.to_bytes()?.len() as f64),
-    ];
-    Ok(CaseRow { case, figures })
-}
-
-/// The messages of a slot.
-struct Slot {
-    bytes: usize,
-}
-
-fn recorded(settings: &CaseSettings) -> anyhow::Result<(Slot, PolicySnapshot)> {
-    let folder = tempfile::tempdir()?;
-    let (_trainer, run) = learner::launch::prepare(settings.launch(folder.path(), 1)?)?;
-    let snapshot = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;
-    let config = &settings.learner.environments;
-    let fresh = Environments::fresh(&run, config.per_slot, config.phase);
-    let work = fresh.work(0, config.per_slot).remove(0);
-    let mut world = settings.world(settings.learner.environments.per_slot)?;
-    let chunks = roll_out(&run, &work, &snapshot, &mut *world);
-    let weights = WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) };
+    let mut slot = FirstSlot::of(settings)?;
+    let chunks = slot.roll_out();
+    let FirstSlot { run, work, policy, .. } = slot;
     let origin = work.origin();
     let lease = Lease {
         id: LeaseId(1),
         incarnation: Incarnation(1),
-        weights,
+        weights: WeightsName { version: PolicyVersion(0), digest: Digest([0; 32]) },
         attempt: 0,
         work: Work::Rollout(work),
     };
@@ -129,5 +102,13 @@ fn recorded(settings: &CaseSettings) -> anyhow::Result<(Slot, PolicySnapshot)> {
         let (message, digest) = chunk.to_wire(&run, &origin);
         PushHeader::of(&lease, digest).to_wire(Content::Chunk(message)).encoded_len()
     };
-    Ok((Slot { bytes: chunks.iter().map(bytes).sum() }, snapshot))
+    let bytes: usize = chunks.iter().map(bytes).sum();
+    let environments = &settings.learner.environments;
+    let steps = (environments.per_slot * environments.steps) as f64;
+    let figures = vec![
+        ("slot, bytes", bytes as f64),
+        ("bytes per env step", bytes as f64 / steps),
+        ("weights, bytes", policy.to_bytes()?.len() as f64),
+    ];
+    Ok(CaseRow { case, figures })
 }
