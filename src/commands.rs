@@ -202,19 +202,4 @@ mod tests {
     fn the_command_line_is_consistent_in_itself() {
         Arguments::command().debug_assert();
     }
-
-    #[test]
-    fn the_contract_of_outside_scripts_parses() {
-        let line = "s2mia train halfcheetah-6x1 algorithm=happo-s2mia run.seed=7 run.iterations=5 \
-                    run.actors=2 run.dir=DIR";
-        let parsed = Arguments::of(line.split_whitespace()).unwrap();
-        let Command::Train(train) = parsed.command else { panic!("not train") };
-        assert_eq!(train.settings.settings.len(), 6);
-        assert_eq!(train.settings.settings[0], "halfcheetah-6x1");
-        let parsed = Arguments::of(["s2mia", "inspect", "DIR", "--json"]).unwrap();
-        assert!(matches!(
-            parsed.command,
-            Command::Inspect(inspect::InspectArguments { json: true, .. })
-        ));
-    }
 }

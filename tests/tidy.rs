@@ -8,8 +8,6 @@ mod arrows;
 mod documents;
 #[path = "tidy/equations.rs"]
 mod equations;
-#[path = "tidy/examples.rs"]
-mod examples;
 #[path = "tidy/files.rs"]
 mod files;
 #[path = "tidy/forbidden.rs"]

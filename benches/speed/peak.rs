@@ -1,8 +1,8 @@
 //! Share of a core's peak rate of multiply-adds that an update reaches. Both are measured directly after each other.
 
-use crate::Effort;
 use marl::Problem;
 
+use crate::Effort;
 use crate::clock::{median, typical};
 use crate::settings::CaseSettings;
 use crate::table::CaseRow;

@@ -43,13 +43,18 @@ fn a_stop_without_the_token_is_refused_and_the_run_continues() {
 }
 
 #[test]
-fn a_run_that_a_client_stops_can_be_resumed() {
+fn a_run_that_a_client_stops_says_so_to_its_watcher_and_a_later_one_and_can_be_resumed() {
     let runs = Runs::new();
-    let stopped = runs.folder("stopped");
+    let stopped = runs.folder("stopped by a client");
     let of = text(&stopped);
     let mut run = begun(&stopped, THIRTY);
+    let mut watch = Background::start(&mut command(&["watch", of]));
+    watch.line();
     assert!(succeeded(&["stop", of]).contains("stops after a checkpoint"));
     run.rest();
+    let last = watch.rest().pop().unwrap();
+    assert!(last.starts_with("stopped after iteration "), "{last}");
+    assert_eq!(succeeded(&["watch", of]).trim_end().split("  ").next(), last.split("  ").next());
     let left = status(of);
     assert_eq!(left["state"], "stopped");
     assert_eq!(left["iteration"], inspect(&stopped)["iteration"]);
@@ -74,21 +79,6 @@ fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     let why = format!("the learner of {of} has ended; `s2mia train --resume {of}` starts one");
     assert!(lines[0].contains("waiting up to 1.5 s (--max-outage-secs)"), "{told}");
     assert_eq!(lines[1..], [format!("error: {why}")]);
-}
-
-#[test]
-fn a_watcher_of_a_run_that_a_client_stops_says_so_and_ends_as_does_a_later_one() {
-    let runs = Runs::new();
-    let folder = runs.folder("stopped by a client");
-    let mut learner = begun(&folder, THIRTY);
-    let of = text(&folder);
-    let mut watch = Background::start(&mut command(&["watch", of]));
-    watch.line();
-    succeeded(&["stop", of]);
-    learner.rest();
-    let last = watch.rest().pop().unwrap();
-    assert!(last.starts_with("stopped after iteration "), "{last}");
-    assert_eq!(succeeded(&["watch", of]).trim_end().split("  ").next(), last.split("  ").next());
 }
 
 #[test]

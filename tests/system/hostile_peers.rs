@@ -1,9 +1,8 @@
-//! A learner with hostile peers: invalid messages, many peers, stalled connections, and lost actors.
+//! A learner with hostile peers: invalid messages, many peers, stalled connections.
 //! Its memory and descriptors stay bounded, it logs each incident, and it ends with the weights of an undisturbed run.
 
 mod attackers;
 mod http2_frames;
-mod incidents;
 mod invalid_messages;
 mod many_peers;
 mod resource_limits;

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::assert_none;
 use crate::markdown::{fenced_lines, inline_code, local_links};
-use crate::repository::{ROOMS, Text, read, root, rust_files, texts};
+use crate::repository::{Text, read, root, rust_files, texts};
 
 fn documents() -> Vec<Text> {
     texts().into_iter().filter(|file| file.path.ends_with(".md")).collect()
@@ -18,10 +18,11 @@ fn expand(path: &str) -> Vec<String> {
     names.split(',').map(|name| format!("{head}{}{tail}", name.trim())).collect()
 }
 
-fn names_a_path(code: &str) -> bool {
+/// Whether it begins with one of the project's top-level `folders` or is a Rust file.
+fn names_a_path(code: &str, folders: &BTreeSet<&str>) -> bool {
     let plain = |letter: char| letter.is_alphanumeric() || "._-/{},".contains(letter);
-    let room = code.split('/').next().is_some_and(|first| ROOMS.contains(&first));
-    code.chars().all(plain) && ((room && code.contains('/')) || code.ends_with(".rs"))
+    let inside = code.split_once('/').is_some_and(|(first, _)| folders.contains(first));
+    code.chars().all(plain) && (inside || code.ends_with(".rs"))
 }
 
 /// A path from the root, or the end of a Rust file's path.
@@ -32,11 +33,12 @@ fn exists(path: &str, rust: &[Text]) -> bool {
 
 #[test]
 fn paths_in_the_documents_exist() {
-    let rust = rust_files();
+    let (all, rust) = (texts(), rust_files());
+    let folders = all.iter().filter_map(|file| Some(file.path.split_once('/')?.0)).collect();
     let mut missing = Vec::new();
     for document in documents() {
         let code = inline_code(&document.body);
-        for (number, path) in code.iter().filter(|(_, code)| names_a_path(code)) {
+        for (number, path) in code.iter().filter(|(_, code)| names_a_path(code, &folders)) {
             let absent = expand(path).into_iter().filter(|path| !exists(path, &rust));
             missing.extend(absent.map(|path| format!("{}:{number}: {path}", document.path)));
         }
@@ -133,4 +135,17 @@ fn settings_in_the_readme_are_accepted() {
         }
     }
     assert_none("README.md shows a setting that is refused:", &refused);
+}
+
+#[test]
+fn the_example_of_a_task_stands_word_for_word_in_the_simulator() {
+    let files = ["sim/assets/hopper.xml", "sim/assets/hopper.toml"].map(read);
+    let document = read("docs/ADDING_A_TASK.md");
+    // The first block has the commands, which tests/system/own_task.rs runs.
+    let blocks = document.split("```").skip(1).step_by(2).skip(1);
+    let excerpts: Vec<&str> = blocks.filter_map(|block| Some(block.split_once('\n')?.1)).collect();
+    assert!(excerpts.len() >= 2);
+    let is_lost = |block: &&str| !files.iter().any(|file| file.contains(block));
+    let lost: Vec<String> = excerpts.into_iter().filter(is_lost).map(str::to_owned).collect();
+    assert_none("docs/ADDING_A_TASK.md shows text that is in none of its files:", &lost);
 }

@@ -30,11 +30,7 @@ fn evaluations_are_taken_from_the_lines_that_hold_one() {
     ];
     std::fs::write(&metrics, lines.join("\n")).unwrap();
     assert_eq!(evaluations(&metrics).unwrap(), [(0.0, -3.0), (8000.0, 12.5)]);
-}
-
-#[test]
-fn a_run_without_metrics_has_no_points() {
-    assert_eq!(evaluations(Path::new("/no/such/metrics.jsonl")).unwrap(), []);
+    assert_eq!(evaluations(&folder.path().join("none.jsonl")).unwrap(), []);
 }
 
 #[test]

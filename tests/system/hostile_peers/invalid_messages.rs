@@ -1,56 +1,44 @@
 //! A client that sends invalid messages to a running learner: each is rejected with a status that names
-//! the field, all are counted, and the run ends with the weights of an undisturbed run.
+//! the field, all are counted and logged, and the run ends with the weights of an undisturbed run.
 
 use std::io::Write as _;
 
-use proto::{Digest, Reason, Refusal, Registration, TrajectoryChunk, Work, wire};
+use proto::wire::push_trajectory_request::Content;
+use proto::{Digest, Reason, Refusal, Registration, Work, wire};
 use tonic::Status;
 
 use super::attackers::{Attacker, arbitrary_chunk, message, registration};
 use super::{UNDISTURBED, finished, learner};
+use crate::processes::{Learner, eventually};
 use crate::runs::{Runs, inspect, metrics};
 
-/// Changes to the chunk and to the message, and the expected reason and field.
-type Attack =
-    (fn(&mut TrajectoryChunk), fn(&mut wire::PushTrajectoryRequest), Reason, &'static str);
-
-fn reward(message: &mut wire::PushTrajectoryRequest) -> &mut wire::Tensor {
-    match message.content.as_mut().unwrap() {
-        wire::push_trajectory_request::Content::Chunk(chunk) => chunk.reward.as_mut().unwrap(),
-        other => panic!("expected a chunk, got {other:?}"),
-    }
-}
-
-fn unchanged<T>(_: &mut T) {}
+/// A change to the message, and the expected reason and field. The tests of `proto` have one for each field.
+type Attack = (fn(&mut wire::PushTrajectoryRequest), Reason, &'static str);
 
 const ATTACKS: &[Attack] = &[
-    (unchanged, |m| reward(m).shape = vec![9, 2], Reason::BadShape, "chunk.reward"),
-    (unchanged, |m| reward(m).shape = vec![u32::MAX, u32::MAX], Reason::BadShape, "chunk.reward"),
-    (|c| c.agents[1].action[4] = f32::NAN, unchanged, Reason::NotFinite, "chunk.agents[1].action"),
-    (|c| c.state[0] = f32::INFINITY, unchanged, Reason::NotFinite, "chunk.state"),
-    (|c| c.truncated[3] = true, unchanged, Reason::Inconsistent, "chunk.finals"),
-    (|c| c.sequence = 1, unchanged, Reason::OutOfOrder, "chunk.sequence"),
-    (unchanged, unchanged, Reason::CanaryMismatch, "chunk.agents[0].log_prob"),
-    (unchanged, |m| m.lease_id = 999_999, Reason::UnknownLease, "lease_id"),
-    (unchanged, |m| m.incarnation += 1, Reason::OtherIncarnation, "incarnation"),
     (
-        unchanged,
-        |m| m.weights.as_mut().unwrap().version = 7,
-        Reason::StaleWeights,
-        "weights.version",
+        |m| {
+            if let Some(Content::Chunk(chunk)) = &mut m.content {
+                chunk.reward.as_mut().unwrap().shape = vec![u32::MAX, u32::MAX];
+            }
+        },
+        Reason::BadShape,
+        "chunk.reward",
     ),
-    (unchanged, |m| m.digest = vec![1; 32].into(), Reason::DigestMismatch, "digest"),
-    (unchanged, |m| m.content = None, Reason::MissingField, "content"),
+    (|_| {}, Reason::CanaryMismatch, "chunk.agents[0].log_prob"),
+    (|m| m.lease_id = 999_999, Reason::UnknownLease, "lease_id"),
+    (|m| m.incarnation += 1, Reason::OtherIncarnation, "incarnation"),
+    (|m| m.weights.as_mut().unwrap().version = 7, Reason::StaleWeights, "weights.version"),
+    (|m| m.digest = vec![1; 32].into(), Reason::DigestMismatch, "digest"),
+    (|m| m.content = None, Reason::MissingField, "content"),
 ];
 
-async fn attack(url: &str, (change_chunk, change_message, reason, field): &Attack) {
+async fn attack(url: &str, (change, reason, field): &Attack) {
     let mut attacker = Attacker::connect(url).await;
     let lease = attacker.lease().await;
     assert!(matches!(lease.work, Work::Rollout(_)));
-    let mut chunk = arbitrary_chunk(&attacker.run);
-    change_chunk(&mut chunk);
-    let mut message = message(&lease, &chunk, &attacker.run);
-    change_message(&mut message);
+    let mut message = message(&lease, &arbitrary_chunk(&attacker.run), &attacker.run);
+    change(&mut message);
     let status = attacker.push(message).await;
     let refusal = Refusal::from_status(&status).unwrap_or_else(|| panic!("{field}: {status:?}"));
     assert_eq!((refusal.reason, refusal.field.as_str()), (*reason, *field), "{refusal}");
@@ -61,30 +49,28 @@ async fn attack(url: &str, (change_chunk, change_message, reason, field): &Attac
 async fn send_invalid_requests(url: &str) -> usize {
     let mut attacker = Attacker::connect(url).await;
     let run = attacker.run.clone();
-    let other_program =
-        Registration { rollout_fingerprint: Some(Digest([1; 32])), ..registration(&run) };
     let mut other_robot = registration(&run);
     other_robot.environment.state.pop();
-    let service = &mut attacker.service;
-    let refused = |status: Status| Refusal::from_status(&status).unwrap().reason;
-    let status = service.register(other_program.to_wire()).await.unwrap_err();
-    assert_eq!(refused(status), Reason::OtherFingerprint);
+    let other_program =
+        Registration { rollout_fingerprint: Some(Digest([1; 32])), ..registration(&run) };
     let other_build = Registration { build: "0.0.1+other".to_owned(), ..registration(&run) };
-    let status = service.register(other_build.to_wire()).await.unwrap_err();
-    assert_eq!(refused(status), Reason::OtherBuild);
-    let status = service.register(other_robot.to_wire()).await.unwrap_err();
-    assert_eq!(refused(status), Reason::OtherEnvironment);
-    let unregistered = wire::LeaseSlotsRequest {
-        actor_id: 77_777,
-        incarnation: attacker.own.incarnation.0,
-        wait_millis: 0,
-        log_steps_lost: 0,
-    };
-    let status = service.lease_slots(unregistered).await.unwrap_err();
-    assert_eq!(refused(status), Reason::UnknownActor);
+    let refused = |status: Status| Refusal::from_status(&status).unwrap().reason;
+    for (registration, reason) in [
+        (other_program, Reason::OtherFingerprint),
+        (other_build, Reason::OtherBuild),
+        (other_robot, Reason::OtherEnvironment),
+    ] {
+        let status = attacker.service.register(registration.to_wire()).await;
+        assert_eq!(refused(status.unwrap_err()), reason);
+    }
+    let incarnation = attacker.own.incarnation.0;
+    let unregistered =
+        wire::LeaseSlotsRequest { actor_id: 77_777, incarnation, ..Default::default() };
+    let status = attacker.service.lease_slots(unregistered).await;
+    assert_eq!(refused(status.unwrap_err()), Reason::UnknownActor);
     let unknown = wire::WeightsName { version: 99, digest: vec![3; 32].into() };
     let request = wire::GetWeightsRequest { weights: Some(unknown), repeats: false };
-    let status = service.get_weights(request).await;
+    let status = attacker.service.get_weights(request).await;
     assert_eq!(refused(status.unwrap_err()), Reason::UnknownWeights);
     5
 }
@@ -109,4 +95,37 @@ async fn invalid_messages_are_refused_by_field_and_counted_and_do_not_affect_the
     let last = metrics(&attacked, "iteration").pop().unwrap();
     assert_eq!(last["messages_refused"], ATTACKS.len() + more);
     assert_eq!(inspect(&attacked), *UNDISTURBED);
+}
+
+/// Waits for the only log line that contains all these words.
+fn logged(learner: &Learner, all: &[&str]) {
+    eventually(|| {
+        let log = learner.process.log();
+        let found = log.lines().filter(|line| all.iter().all(|words| line.contains(words)));
+        match found.count() {
+            0 => Err(format!("no line with {all:?} in:\n{log}")),
+            1 => Ok(()),
+            _ => panic!("logged twice: {all:?} in:\n{log}"),
+        }
+    });
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn refused_messages_are_logged_and_their_actor_is_quarantined() {
+    let runs = Runs::new();
+    let learner = learner(&runs.folder("run"), &[]);
+    let mut attacker = Attacker::connect(&learner.url).await;
+    let who = format!("actor {} (attacker)", attacker.own.actor);
+    for _ in 0..3 {
+        let lease = attacker.lease().await;
+        let pushed = message(&lease, &arbitrary_chunk(&attacker.run), &attacker.run);
+        attacker.push(pushed).await;
+        let what = format!("{who} was at slot 0 (lease {}) after 0 chunks", lease.id);
+        let refused = ["push_trajectory from 127.0.0.1:", "is refused", &what, "the lease ends"];
+        logged(
+            &learner,
+            &[&refused[..], &["CANARY_MISMATCH", "chunk.agents[0].log_prob"]].concat(),
+        );
+    }
+    logged(&learner, &["WARN", &who, "is in quarantine", "it gets no work for 20.0 s"]);
 }
