@@ -46,7 +46,7 @@ pub(crate) struct TimedPose<'a> {
 pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Result<Vec<u8>> {
     let seen: Vec<Vec<ProjectedCapsule>> = frames
         .iter()
-        .map(|frame| drawing::solids(robot, frame.pose, ViewDirection::Side))
+        .map(|frame| drawing::capsules(robot, frame.pose, ViewDirection::Side))
         .collect();
     let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
     let pixels_per_metre = drawing::scale(&seen, &roots);
@@ -84,23 +84,23 @@ pub(crate) fn portrait(
     pose: &Pose,
 ) -> anyhow::Result<Vec<u8>> {
     let view = view(robot, pose);
-    let mut solids = drawing::solids(robot, pose, view);
+    let mut capsules = drawing::capsules(robot, pose, view);
     let lift = match view {
         ViewDirection::Side => 0.0,
-        ViewDirection::Above => -edges(&solids).0,
+        ViewDirection::Above => -edges(&capsules).0,
     };
-    for [_, height] in solids.iter_mut().flat_map(|solid| &mut solid.ends) {
+    for [_, height] in capsules.iter_mut().flat_map(|capsule| &mut capsule.ends) {
         *height += lift;
     }
     let middle = pose.links[0].position[0];
-    let pixels_per_metre = drawing::scale(std::slice::from_ref(&solids), &[middle]);
+    let pixels_per_metre = drawing::scale(std::slice::from_ref(&capsules), &[middle]);
     let camera = Camera { middle, pixels_per_metre };
     let (width, height) = size(1, robot.agents);
     let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     let mut panel = match view {
-        ViewDirection::Side => drawing::panel(&solids, &camera),
-        ViewDirection::Above => drawing::panel_without_floor(&solids, &camera),
+        ViewDirection::Side => drawing::panel(&capsules, &camera),
+        ViewDirection::Above => drawing::panel_without_floor(&capsules, &camera),
     };
     let mut captions = Captions::new(width, height);
     let places = joints.iter().map(|&point| {
@@ -120,7 +120,7 @@ pub(crate) fn portrait(
 /// From above if the robot is wider than high.
 fn view(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
     let extent = |view| {
-        let (low, high) = edges(&drawing::solids(robot, pose, view));
+        let (low, high) = edges(&drawing::capsules(robot, pose, view));
         high - low
     };
     if extent(ViewDirection::Above) > extent(ViewDirection::Side) {
@@ -130,10 +130,10 @@ fn view(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
     }
 }
 
-/// The lowest and the highest edge of all solids in the picture's plane, metres.
-fn edges(solids: &[ProjectedCapsule]) -> (f32, f32) {
-    let edges = solids.iter().flat_map(|solid| {
-        solid.ends.map(|[_, height]| (height - solid.radius, height + solid.radius))
+/// The lowest and the highest edge of all capsules in the picture's plane, metres.
+fn edges(capsules: &[ProjectedCapsule]) -> (f32, f32) {
+    let edges = capsules.iter().flat_map(|capsule| {
+        capsule.ends.map(|[_, height]| (height - capsule.radius, height + capsule.radius))
     });
     edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| (low.min(bottom), high.max(top)))
 }

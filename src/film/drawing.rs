@@ -1,4 +1,4 @@
-//! A robot's shapes as pixels: its solids seen from the side or from above, the camera that keeps its root in the middle of
+//! A robot's shapes as pixels: its capsules seen from the side or from above, the camera that keeps its root in the middle of
 //! the frame, and the floor.
 
 use sim::Pose;
@@ -48,14 +48,14 @@ impl ViewDirection {
     }
 }
 
-/// The solids of a pose, the farthest first.
-pub(super) fn solids(
+/// The capsules of a pose, the farthest first.
+pub(super) fn capsules(
     robot: &RobotShapes,
     pose: &Pose,
     view: ViewDirection,
 ) -> Vec<ProjectedCapsule> {
     let links = pose.links.iter().zip(&robot.drivers);
-    let mut solids: Vec<ProjectedCapsule> = links
+    let mut capsules: Vec<ProjectedCapsule> = links
         .flat_map(|(link, &agent)| {
             let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.flat_map(|shape| shape.capsules()).map(move |capsule| {
@@ -66,8 +66,8 @@ pub(super) fn solids(
             })
         })
         .collect();
-    solids.sort_by(|a, b| b.depth.total_cmp(&a.depth));
-    solids
+    capsules.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+    capsules
 }
 
 /// Size of a frame, pixels.
@@ -104,16 +104,16 @@ impl Camera {
     }
 }
 
-/// Pixels per metre at which every frame's solids fit, given each frame's middle.
+/// Pixels per metre at which every frame's capsules fit, given each frame's middle.
 pub(super) fn scale(frames: &[Vec<ProjectedCapsule>], middles: &[f32]) -> f32 {
     let mut scale = LARGEST;
-    for (solids, middle) in frames.iter().zip(middles) {
-        for solid in solids {
-            for [x, z] in solid.ends {
-                let aside = (x - middle).abs() + solid.radius;
+    for (capsules, middle) in frames.iter().zip(middles) {
+        for capsule in capsules {
+            for [x, z] in capsule.ends {
+                let aside = (x - middle).abs() + capsule.radius;
                 let across = (WIDTH as f32 / 2.0 - MARGIN) / aside.max(f32::EPSILON);
                 let upwards =
-                    ((HEIGHT - GROUND) as f32 - MARGIN) / (z + solid.radius).max(f32::EPSILON);
+                    ((HEIGHT - GROUND) as f32 - MARGIN) / (z + capsule.radius).max(f32::EPSILON);
                 scale = scale.min(across).min(upwards);
             }
         }
@@ -126,25 +126,25 @@ const EARTH: Rgb = [222, 226, 230];
 const FLOOR: Rgb = [90, 98, 106];
 /// Colour of links that no agent drives.
 const UNDRIVEN: Rgb = [152, 158, 164];
-/// Width of the edge around a solid, pixels.
+/// Width of the edge around a capsule, pixels.
 const EDGE: f32 = 1.5;
 /// Radius of a disc that holds a number, pixels.
 pub(super) const SIGN: f32 = 9.0;
 /// Length of a metre's mark on the floor, pixels.
 const TICK: f32 = 8.0;
 
-/// One frame without its captions. `solids` are painted in their order.
-pub(super) fn panel(solids: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
+/// One frame without its captions. `capsules` are painted in their order.
+pub(super) fn panel(capsules: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
     let mut pixmap = sky();
     floor(&mut pixmap, camera);
-    draw_all(&mut pixmap, solids, camera);
+    draw_all(&mut pixmap, capsules, camera);
     pixmap
 }
 
 /// Solids alone, painted in their order.
-pub(super) fn panel_without_floor(solids: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
+pub(super) fn panel_without_floor(capsules: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
     let mut pixmap = sky();
-    draw_all(&mut pixmap, solids, camera);
+    draw_all(&mut pixmap, capsules, camera);
     pixmap
 }
 
@@ -181,16 +181,16 @@ fn sky() -> Pixmap {
     pixmap
 }
 
-fn draw_all(pixmap: &mut Pixmap, solids: &[ProjectedCapsule], camera: &Camera) {
-    for solid in solids {
-        draw(pixmap, solid, camera);
+fn draw_all(pixmap: &mut Pixmap, capsules: &[ProjectedCapsule], camera: &Camera) {
+    for capsule in capsules {
+        draw(pixmap, capsule, camera);
     }
 }
 
-fn draw(pixmap: &mut Pixmap, solid: &ProjectedCapsule, camera: &Camera) {
-    let ends = solid.ends.map(|end| camera.pixel(end));
-    let radius = solid.radius * camera.pixels_per_metre;
-    let fill = colour(solid.agent);
+fn draw(pixmap: &mut Pixmap, capsule: &ProjectedCapsule, camera: &Camera) {
+    let ends = capsule.ends.map(|end| camera.pixel(end));
+    let radius = capsule.radius * camera.pixels_per_metre;
+    let fill = colour(capsule.agent);
     rounded(pixmap, ends, radius, darker(fill));
     rounded(pixmap, ends, (radius - EDGE).max(0.0), fill);
 }

@@ -46,7 +46,7 @@ fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
 fn a_link_is_drawn_where_it_is_in_the_colour_of_its_agent_and_nothing_far_from_it() {
     let (robot, pose) = two_legs();
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
+    let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     // The ends of the left leg's middle line, then a point within its round upper end.
     for point in [[6.5, 0.2], [6.5, 0.8], [6.5, 0.88]] {
@@ -65,9 +65,9 @@ fn a_link_is_drawn_where_it_is_in_the_colour_of_its_agent_and_nothing_far_from_i
 fn what_is_nearer_to_the_viewer_is_painted_later() {
     let (robot, mut pose) = two_legs();
     pose.links[1].position = [7.0, -1.0, 1.0];
-    let order: Vec<_> = drawing::solids(&robot, &pose, ViewDirection::Side)
+    let order: Vec<_> = drawing::capsules(&robot, &pose, ViewDirection::Side)
         .iter()
-        .map(|solid| solid.agent)
+        .map(|capsule| capsule.agent)
         .collect();
     assert_eq!(order, [None, Some(1), Some(0)]);
 }
@@ -78,7 +78,7 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
     let half = core::f32::consts::FRAC_1_SQRT_2;
     robot.shapes[1].quaternion = [half, 0.0, 0.0, half];
     let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::solids(&robot, &pose, ViewDirection::Side), &camera);
+    let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &camera);
     let empty = drawing::panel(&[], &camera);
     assert_eq!(seen(&picture, &camera, [6.5, 0.5]), drawing::colour(Some(0)));
     assert_eq!(seen(&picture, &camera, [6.5, 0.8]), seen(&empty, &camera, [6.5, 0.8]));

@@ -21,7 +21,7 @@ use super::{COMPILED, bodies, connections, deadline, reflection, server};
 use crate::lease::exchange::Caller;
 use crate::lease::published::Published;
 use crate::serve::listener::Listener;
-use crate::serve::team::ServedAgents;
+use crate::serve::served_agents::ServedAgents;
 
 /// Actors register with learners only.
 const NO_ACTORS: usize = 0;
@@ -143,18 +143,18 @@ async fn answer_steps(
     let choice = ActionChoice::from_wire(start).map_err(refused)?;
     let first = Arc::clone(&newest.borrow_and_update());
     let sizes = first.policy.agents.iter().map(ActorPolicy::observation_size).collect::<Vec<_>>();
-    let mut team = ServedAgents::new(first, choice);
+    let mut agents = ServedAgents::new(first, choice);
     while let Some(step) = steps.message().await? {
         let step = ActStep::from_wire(&step, &sizes).map_err(refused)?;
         if step.reset {
-            team.reset(Arc::clone(&newest.borrow_and_update()));
+            agents.reset(Arc::clone(&newest.borrow_and_update()));
         }
         let computed = tokio::task::spawn_blocking(move || {
-            let acted = team.act(&step);
-            (team, acted.to_wire())
+            let acted = agents.act(&step);
+            (agents, acted.to_wire())
         });
         let (kept, answer) = computed.await.map_err(|panic| Status::internal(panic.to_string()))?;
-        team = kept;
+        agents = kept;
         if answers.send(Ok(answer)).await.is_err() {
             return Ok(());
         }

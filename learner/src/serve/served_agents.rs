@@ -28,7 +28,7 @@ struct Member {
 }
 
 impl ServedAgents {
-    /// A team at the start of its first episode.
+    /// Agents at the start of their first episode.
     pub(crate) fn new(weights: Arc<Published>, choice: ActionChoice) -> Self {
         let members = initial_members(&weights);
         Self { weights, choice, episodes: 0, members, scratch: Scratch::default() }
@@ -42,7 +42,7 @@ impl ServedAgents {
     }
 
     /// Computes actions for the observations of a validated step. Rows are computed separately, so an action depends
-    /// neither on the other agents in the step nor on other teams.
+    /// neither on the other agents in the step nor on those of other clients.
     pub(crate) fn act(&mut self, step: &ActStep) -> Acted {
         let rows = step.observations.iter();
         let actions = rows.map(|(agent, observation)| (*agent, self.action(*agent, observation)));
