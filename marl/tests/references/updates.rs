@@ -110,7 +110,8 @@ fn whole_updates_agree_with_pytorch_in_every_array() {
         let (arrays, report) = updated(&reference, case);
         let expected = reference.under("expected/");
         for (name, expected) in &expected {
-            let (label, expected) = (format!("{}: {name}", case.name), numbers(expected));
+            let label = format!("{}: {name}", case.name);
+            let expected = numbers(expected);
             if let Some(figure) = name.strip_prefix("report/") {
                 let found = report.iter().find(|(own, _)| own == figure).unwrap().1;
                 agree(&label, &[found], &expected, OTHERS);

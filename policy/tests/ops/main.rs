@@ -98,8 +98,8 @@ fn fused_networks_are_within_a_few_millionths_of_their_twins_in_double_precision
         let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
         let y = plain::network(&network_of(&specs), &x, &twin, recurrent).unwrap();
         let expected = results(&y, &twin, &x);
-        let (x, start, mask) = (single(input), single(start), single(mask));
-        let x = Var::from_tensor(&x).unwrap();
+        let x = Var::from_tensor(&single(input)).unwrap();
+        let (start, mask) = (single(start), single(mask));
         let recurrent = Some(RecurrentInput { start: &start, mask: &mask });
         let y = stack.weights().unwrap().apply(&x, recurrent).unwrap();
         let found = results(&y, &parameters.vars()[0], &x);

@@ -27,7 +27,8 @@ fn a_shape_that_overflows_or_has_four_mebibytes_is_refused_without_an_allocation
 
 #[test]
 fn an_empty_message_is_refused_by_its_first_missing_part() {
-    let (run, nothing) = (sample::run(), wire::TrajectoryChunk::default());
+    let run = sample::run();
+    let nothing = wire::TrajectoryChunk::default();
     assert_refused(received(&nothing, &run, Digest([0; 32])), BadValue, "chunk.steps");
     let lease = LeaseAnswer::from_wire(wire::LeaseSlotsResponse::default(), &run);
     assert_refused(lease, MissingField, "answer");

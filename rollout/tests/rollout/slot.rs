@@ -29,7 +29,8 @@ fn roll_in(
     task: &TaskConfig,
     work: &RolloutWork,
 ) -> Vec<TrajectoryChunk> {
-    let (policy, mut chunks) = (policy_for(world.description()), Vec::new());
+    let policy = policy_for(world.description());
+    let mut chunks = Vec::new();
     let emit = |chunk| {
         chunks.push(chunk);
         ControlFlow::Continue(())
@@ -69,7 +70,8 @@ fn a_slot_is_repeatable_in_used_and_new_environments() {
 #[test]
 fn the_chunks_of_a_slot_are_complete_and_survive_the_protocol() {
     for task in tasks() {
-        let (run, origin) = (run_of(&task), fresh_work().origin());
+        let run = run_of(&task);
+        let origin = fresh_work().origin();
         assert_eq!(run.validate(), Ok(()));
         let chunks = roll(&task, &fresh_work());
         assert_eq!(chunks.len() as u32, STEPS / CHUNK);

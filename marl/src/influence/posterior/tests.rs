@@ -75,7 +75,8 @@ fn information(posterior: &Posterior, data: &Data) -> f64 {
 
 /// The information after training on four of five rows.
 fn estimate(mut posterior: Posterior, data: &Data) -> f64 {
-    let ((held_out, trained), draw) = (parts(), Draw::of(Purpose::PosteriorMinibatch));
+    let (held_out, trained) = parts();
+    let draw = Draw::of(Purpose::PosteriorMinibatch);
     posterior.fit(&data.conditions(), &trained, &held_out, (RunSeed(3), draw)).unwrap();
     information(&posterior, data)
 }
@@ -122,7 +123,8 @@ fn an_untrained_posterior_is_the_policy_and_its_estimate_is_exactly_zero() {
 
 #[test]
 fn training_never_lowers_the_likelihood_of_held_out_rows() {
-    let (data, mut posterior) = (Data::normal(0.0), posterior());
+    let data = Data::normal(0.0);
+    let mut posterior = posterior();
     let draw = Draw::of(Purpose::PosteriorMinibatch);
     // Forty rows contain nothing that generalises.
     let (trained, held_out): (Vec<usize>, Vec<usize>) = ((0..40).collect(), (40..2000).collect());
