@@ -10,8 +10,8 @@ use learner::lease::exchange::Exchange;
 use learner::lease::slots::{ConnectionId, Preview, ResultPart};
 use policy::PolicySnapshot;
 use proto::{
-    Ack, Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Refusal, Registration, RunDescription,
-    TrajectoryChunk, Work,
+    Ack, Lease, LeaseAnswer, PROTOCOL_VERSION, PushHeader, Refusal, Registered, Registration,
+    RunDescription, TrajectoryChunk, Work,
 };
 
 use crate::hopper;
@@ -42,23 +42,27 @@ impl ActorThreads {
 }
 
 fn work(exchange: &Exchange, connection: ConnectionId, stop: &AtomicBool) {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
     let run = exchange.run().clone();
-    let registered = exchange.register(connection, &registration(&run)).unwrap();
+    let own = exchange.register(connection, &registration(&run)).unwrap();
     while !stop.load(Ordering::Relaxed) {
-        let answer = exchange.lease(
-            connection,
-            registered.actor,
-            registered.incarnation,
-            Duration::from_millis(50),
-        );
-        match runtime.block_on(answer).unwrap() {
+        match ask(exchange, connection, own, Duration::from_millis(50)) {
             LeaseAnswer::Lease(lease) => perform(exchange, connection, &run, &lease),
             LeaseAnswer::Retry { .. } => {}
             LeaseAnswer::Done => break,
         }
     }
     exchange.disconnect(connection);
+}
+
+/// Requests a lease and waits this long for one.
+pub(crate) fn ask(
+    exchange: &Exchange,
+    connection: ConnectionId,
+    own: Registered,
+    wait: Duration,
+) -> LeaseAnswer {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    runtime.block_on(exchange.lease(connection, own.actor, own.incarnation, wait)).unwrap()
 }
 
 /// Registers with the run's fingerprint.

@@ -14,7 +14,7 @@ use proto::{
     RunDescription, Start, TrajectoryChunk,
 };
 
-use crate::actor::registration;
+use crate::actor::{ask, registration};
 use crate::hopper;
 use crate::settings::launch_in;
 
@@ -58,9 +58,7 @@ pub(crate) fn exchange(run: RunDescription, policy: &PolicySnapshot) -> Arc<Exch
 /// Registers an actor on a connection and leases the slot to it.
 pub(crate) fn lease(exchange: &Exchange, connection: ConnectionId) -> Lease {
     let own = exchange.register(connection, &registration(exchange.run())).unwrap();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
-    let answer = exchange.lease(connection, own.actor, own.incarnation, Duration::ZERO);
-    match runtime.block_on(answer).unwrap() {
+    match ask(exchange, connection, own, Duration::ZERO) {
         LeaseAnswer::Lease(lease) => lease,
         other => panic!("expected a lease, got {other:?}"),
     }

@@ -177,8 +177,6 @@ pub(super) fn work(work: LeasedWork) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use proto::LeaseId;
 
     use super::*;
@@ -203,22 +201,11 @@ mod tests {
         let (failure, detail) = (LeaseFailure::StartState, "no state".to_owned());
         let returned =
             Incident::Returned { lease: slot, failure, detail, environments: vec![4, 5] };
-        let pause = Duration::from_secs(40);
         for (incident, line) in [
             (
                 Incident::Gone { actor: OWN, leases: vec![slot, episode] },
                 "is gone, at slot 5 (lease 7) after 2 chunks, at evaluation episode 1 (lease 7); \
                  its work is free again, from the first step",
-            ),
-            (
-                Incident::Expired(slot),
-                "got nothing done for 20.0 s, at slot 5 (lease 7) after 2 chunks; the lease ends, \
-                 its work is free again, from the first step",
-            ),
-            (
-                Incident::Quarantined { actor: OWN, pause },
-                "is in quarantine: too many of its messages in a row were refused or of its leases \
-                 expired; it gets no work for 40.0 s",
             ),
             (
                 returned,
