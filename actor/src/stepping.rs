@@ -12,7 +12,7 @@ use proto::{
 };
 use recording::trajectory_log::LogHandle;
 use rollout::{EvaluationEpisode, FILMED, FilmRecorder, StepEvent, play_episode, roll_out};
-use sim::{EnvironmentBatch, SimError};
+use sim::{Disturbances, EnvironmentBatch, SimError};
 use tokio::sync::{Notify, mpsc};
 
 use crate::error::ActorError;
@@ -79,7 +79,8 @@ impl Stepper {
         handle: Option<LogHandle>,
     ) -> Result<Self, ActorError> {
         let slot = source.open(run.environments_per_slot as usize)?;
-        let evaluation = source.open(1)?;
+        let mut evaluation = source.open(1)?;
+        evaluation.set_disturbances(Disturbances::AsInEvaluations);
         let source = source.clone();
         let worlds = Worlds { run, source, slot, evaluation, handle };
         // Environments of another program open their streams in the runtime.

@@ -30,6 +30,20 @@ pub trait EnvironmentBatch: Send {
         key: [u8; 32],
     ) -> Result<(), SimError>;
 
+    /// Selects which episodes that start from now on are disturbed; at first those of training are. Does nothing unless the
+    /// task states disturbances.
+    fn set_disturbances(&mut self, _disturbances: Disturbances) {}
+
+    /// Whether the task states disturbances.
+    fn can_be_disturbed(&self) -> bool {
+        false
+    }
+
+    /// What an episode draws besides its start: command and disturbances, one line each.
+    fn drawn(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// Restores an encoded state. Invalid bytes change nothing.
     ///
     /// # Errors
@@ -133,6 +147,17 @@ pub trait EnvironmentBatch: Send {
     fn state_bounds(&self) -> Option<&StateBounds> {
         None
     }
+}
+
+/// Selection of the episodes that the disturbances of a task file act in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Disturbances {
+    /// All, as in training.
+    AsInTraining,
+    /// None, unless the task file states that evaluations are disturbed.
+    AsInEvaluations,
+    /// None.
+    Off,
 }
 
 /// Result of a step.

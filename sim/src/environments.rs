@@ -1,24 +1,25 @@
 //! The robot environments of a slot: one world each, stepped in order.
 
 mod describe;
+mod sensors;
 mod warnings;
 
 use std::sync::Arc;
 
 use proto::{EnvironmentSpec, EpisodePosition};
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
-use crate::environment_batch::{EnvironmentBatch, Outcome};
+use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome};
 use crate::error::{ActionError, SimError, StateError};
+use crate::noise::{DrawPurpose, generator};
 use crate::observation::Observation;
 use crate::robot::Robot;
 use crate::scene::Pose;
-use crate::state::{State, StateBounds};
-use crate::task::{self, Motion, Rules, Transition};
+use crate::state::{EpisodeDraws, State, StateBounds};
+use crate::task::{self, DrawnEpisode, Motion, Rules, Task, Transition};
 use crate::world::World;
 use describe::Driven;
+use sensors::Sensors;
 
 /// The robot environments of a slot.
 pub(crate) struct RobotEnvironments {
@@ -29,9 +30,6 @@ pub(crate) struct RobotEnvironments {
     observation: Observation,
     /// Motor driven by each component of the joint action, `[A]`.
     motors: Vec<Driven>,
-    /// Controls of the last step in the state of a start, in the order of the joint action; empty unless the reward reads
-    /// them.
-    first_controls: Vec<f32>,
     environments: Vec<Environment>,
     /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
@@ -39,15 +37,21 @@ pub(crate) struct RobotEnvironments {
     asked: Vec<f32>,
     /// State after the current step, before it is validated; then the state before it.
     next: State,
+    /// Which new episodes are disturbed.
+    disturbances: Disturbances,
 }
 
 struct Environment {
     world: World,
     /// Position in the episode, and the motion after the last valid step. The controls have the order of the joint action
-    /// and are empty unless the reward reads them.
+    /// and are empty unless the reward or a delay reads them.
     now: State,
     /// Global state of `now`, `[S]`.
     seen: Vec<f32>,
+    /// What the episode has drawn besides its start.
+    drawn: DrawnEpisode,
+    /// What the agents observe instead of `seen`, if the task disturbs their sensors.
+    sensors: Option<Sensors>,
 }
 
 /// Returns `config`, without contact forces if the task does not support them.
@@ -57,14 +61,44 @@ fn effective(config: &ObservationConfig, rules: &Rules) -> ObservationConfig {
     ObservationConfig { contact_forces, ..config.clone() }
 }
 
-/// The rest pose without motion.
-fn rest(robot: &Robot, bounds: &StateBounds, position: EpisodePosition) -> State {
+/// Bounds of the states of a task.
+fn state_bounds(task: &Task) -> StateBounds {
+    let rules = &task.rules;
+    let [action_delay, observation_delay] = rules.disturbance().longest_delays();
+    let remembered = action_delay.max(u32::from(rules.reads_last_action()));
+    let measured = rules.measured_features(&task.robot).len();
+    StateBounds {
+        actions: remembered as usize * task.robot.blueprint().motors.len(),
+        measurements: observation_delay as usize * measured,
+        has_draws: rules.has_draws(),
+        ..task.robot.state_bounds(task.episode_steps)
+    }
+}
+
+/// The rest pose without motion; the actions before were 0. The episode has the key 0 and is not disturbed.
+fn rest(
+    robot: &Robot,
+    bounds: &StateBounds,
+    motors: &[Driven],
+    position: EpisodePosition,
+) -> State {
+    let controls = motors.iter().map(|driven| driven.scale.apply(0.0)).cycle();
+    let draws = EpisodeDraws { key: [0; 32], is_disturbed: false };
     State {
         position,
         coordinates: robot.rest().to_vec(),
         velocities: vec![0.0; bounds.velocities],
-        actions: vec![0.0; bounds.actions],
+        actions: controls.take(bounds.actions).collect(),
+        measurements: vec![0.0; bounds.measurements],
+        draws: bounds.has_draws.then_some(draws),
     }
+}
+
+/// Writes a history, the newest entry first: `newest`, then as much of the history `before` as fits.
+fn remember(to: &mut [f32], newest: &[f32], before: &[f32]) {
+    let (first, rest) = to.split_at_mut(newest.len().min(to.len()));
+    first.copy_from_slice(&newest[..first.len()]);
+    rest.copy_from_slice(&before[..rest.len()]);
 }
 
 impl RobotEnvironments {
@@ -74,38 +108,34 @@ impl RobotEnvironments {
         if count == 0 {
             return Err(SimError::NoEnvironments);
         }
-        let motors = task.robot.blueprint().motors.len();
         let view = effective(&config.observation, &task.rules);
-        let mut bounds = task.robot.state_bounds(task.episode_steps);
-        if task.rules.reads_last_action() {
-            bounds.actions = motors;
-        }
+        let bounds = state_bounds(&task);
         let (description, observation) = describe::describe(&task, &view, &bounds);
-        let driven = Driven::all(&task);
-        let first = driven.iter().map(|driven| task.controls.first[driven.motor]);
-        let first_controls = first.take(bounds.actions).collect();
+        let motors = Driven::all(&task);
         let robot = Arc::new(task.robot);
         let position = EpisodePosition { episode: 0, step: 0, limit: task.episode_steps };
-        let rest = rest(&robot, &bounds, position);
+        let rest = rest(&robot, &bounds, &motors, position);
         let fresh = |_| Environment {
             world: World::new(Arc::clone(&robot)),
             now: rest.clone(),
             seen: vec![0.0; description.state.len()],
+            drawn: DrawnEpisode::default(),
+            sensors: Sensors::of(&task.rules, &robot),
         };
         let mut environments = Self {
-            rules: task.rules,
             bounds,
-            motors: driven,
-            first_controls,
             environments: (0..count).map(fresh).collect(),
-            controls: vec![0.0; motors],
-            asked: vec![0.0; motors],
+            controls: vec![0.0; motors.len()],
+            asked: vec![0.0; motors.len()],
             next: rest.clone(),
+            rules: task.rules,
+            motors,
             robot,
             description,
             observation,
+            disturbances: Disturbances::AsInTraining,
         };
-        (0..count).for_each(|index| environments.update_state(index));
+        (0..count).for_each(|index| environments.begin(index, rest.clone()));
         Ok(environments)
     }
 }
@@ -143,13 +173,26 @@ impl EnvironmentBatch for RobotEnvironments {
     ) -> Result<(), SimError> {
         let limit = limit.clamp(1, self.description.episode_steps);
         let position = EpisodePosition { episode, step: 0, limit };
-        let mut state = rest(&self.robot, &self.bounds, position);
-        state.actions.copy_from_slice(&self.first_controls);
-        let mut rng = ChaCha8Rng::from_seed(key);
+        let mut state = rest(&self.robot, &self.bounds, &self.motors, position);
+        let mut rng = generator(key, DrawPurpose::Start, 0);
         self.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
+        let is_disturbed = self.starts_disturbed();
+        state.draws = self.bounds.has_draws.then_some(EpisodeDraws { key, is_disturbed });
         let bytes = state.to_bytes(&self.bounds.kind);
         self.rebuild(environment, &bytes).expect("start states are within the bounds of a state");
         Ok(())
+    }
+
+    fn set_disturbances(&mut self, disturbances: Disturbances) {
+        self.disturbances = disturbances;
+    }
+
+    fn can_be_disturbed(&self) -> bool {
+        self.rules.disturbance().are_stated()
+    }
+
+    fn drawn(&self) -> Vec<String> {
+        self.rules.drawn_lines()
     }
 
     fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
@@ -176,7 +219,9 @@ impl EnvironmentBatch for RobotEnvironments {
 
     fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
-        self.observation.see(agent, &self.environments[environment].seen, out);
+        let Environment { seen, sensors, .. } = &self.environments[environment];
+        let view = sensors.as_ref().map_or(seen.as_slice(), Sensors::observed);
+        self.observation.see(agent, view, out);
     }
 
     fn state(&self, environment: usize, out: &mut [f32]) {
@@ -214,22 +259,47 @@ impl RobotEnvironments {
     /// Rebuilds a world from an encoded state. All resets and restores use this function.
     fn rebuild(&mut self, index: usize, bytes: &[u8]) -> Result<(), StateError> {
         let state = State::from_bytes(bytes, &self.bounds)?;
-        let environment = &mut self.environments[index];
-        environment.world.rebuild(&state.coordinates, &state.velocities);
-        environment.now = state;
-        self.update_state(index);
+        self.begin(index, state);
         Ok(())
     }
 
+    /// Continues from a state within bounds.
+    fn begin(&mut self, index: usize, state: State) {
+        let environment = &mut self.environments[index];
+        if let Some(draws) = &state.draws {
+            environment.drawn = self.rules.draw(draws);
+            environment.world.set_conditions(environment.drawn.conditions.clone());
+        }
+        environment.world.rebuild(&state.coordinates, &state.velocities);
+        environment.now = state;
+        self.update_state(index);
+    }
+
+    /// Whether episodes that start now are disturbed.
+    fn starts_disturbed(&self) -> bool {
+        match self.disturbances {
+            Disturbances::AsInTraining => true,
+            Disturbances::AsInEvaluations => self.rules.disturbance().are_in_evaluations(),
+            Disturbances::Off => false,
+        }
+    }
+
     fn step_one(&mut self, index: usize, action: &[f32]) -> Outcome {
+        let environment = &mut self.environments[index];
         for ((driven, asked), &number) in self.motors.iter().zip(&mut self.asked).zip(action) {
             *asked = driven.scale.apply(number);
             self.controls[driven.motor] = *asked;
         }
-        let environment = &mut self.environments[index];
+        if let Some(back) = environment.drawn.action_delay.checked_sub(1) {
+            let delayed = &environment.now.actions[back as usize * self.asked.len()..];
+            for (driven, &asked) in self.motors.iter().zip(delayed) {
+                self.controls[driven.motor] = asked;
+            }
+        }
         let position = &mut environment.now.position;
         position.step = position.step.saturating_add(1);
         self.next.position = *position;
+        environment.world.push(&environment.drawn.forces);
         let whole = environment.world.step(&self.controls);
         environment.world.coordinates(&mut self.next.coordinates);
         environment.world.velocities(&mut self.next.velocities);
@@ -238,25 +308,37 @@ impl RobotEnvironments {
             environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
-        let remembered = self.next.actions.len();
-        self.next.actions.copy_from_slice(&self.asked[..remembered]);
+        remember(&mut self.next.actions, &self.asked, &environment.now.actions);
+        if let Some(sensors) = &environment.sensors {
+            remember(
+                &mut self.next.measurements,
+                sensors.measured(),
+                &environment.now.measurements,
+            );
+        }
+        self.next.draws = environment.now.draws;
         std::mem::swap(&mut environment.now, &mut self.next);
         self.update_state(index);
         self.outcome(index)
     }
 
-    /// Computes the global state of `now`. Features of contact forces, the last ones, stay 0.
+    /// Computes the global state of `now`, of which features of contact forces stay 0, and what the agents observe of it.
     fn update_state(&mut self, index: usize) {
-        let mut seen = std::mem::take(&mut self.environments[index].seen);
-        let now = &self.environments[index].now;
-        self.rules.state(&self.motion(now), &mut seen);
-        self.environments[index].seen = seen;
+        let Environment { now, seen, drawn, sensors, .. } = &mut self.environments[index];
+        if let Some(draws) = &now.draws {
+            self.rules.disturbance().draw_forces(draws, now.position.step, drawn);
+        }
+        self.rules.state(&motion(&self.robot, now), drawn, seen);
+        if let Some(sensors) = sensors {
+            sensors.measure(&self.rules, now, drawn, seen);
+        }
     }
 
     /// Result of a valid step. `now` is the motion after the step, `next` the motion before it.
     fn outcome(&self, index: usize) -> Outcome {
         let environment = &self.environments[index];
-        let (before, after) = (self.motion(&self.next), self.motion(&environment.now));
+        let [before, after] =
+            [&self.next, &environment.now].map(|state| motion(&self.robot, state));
         let (control, last_control) = (self.asked.as_slice(), self.next.actions.as_slice());
         let dt_secs = self.description.dt_secs as f32;
         let EpisodePosition { step, limit, .. } = environment.now.position;
@@ -267,6 +349,7 @@ impl RobotEnvironments {
                 after,
                 control,
                 last_control,
+                command: &environment.drawn.command,
                 dt_secs,
             }),
             terminated,
@@ -274,12 +357,12 @@ impl RobotEnvironments {
             fault: false,
         }
     }
+}
 
-    fn motion<'a>(&'a self, state: &'a State) -> Motion<'a> {
-        Motion {
-            coordinates: &state.coordinates,
-            reference: self.robot.reference(),
-            velocities: &state.velocities,
-        }
+fn motion<'a>(robot: &'a Robot, state: &'a State) -> Motion<'a> {
+    Motion {
+        coordinates: &state.coordinates,
+        reference: robot.reference(),
+        velocities: &state.velocities,
     }
 }

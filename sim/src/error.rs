@@ -136,7 +136,7 @@ pub enum StateError {
     /// A value is NaN or infinite.
     #[error("{field} {index} is not finite")]
     NotFinite {
-        /// `coordinate` or `velocity`.
+        /// `coordinate`, `velocity`, `action` or `measurement`.
         field: &'static str,
         /// Index of the value.
         index: usize,
@@ -144,7 +144,7 @@ pub enum StateError {
     /// A value is out of bounds.
     #[error("{field} {index} is {value}; it must be between {low} and {high}")]
     Beyond {
-        /// `coordinate` or `velocity`.
+        /// `coordinate`, `velocity`, `action` or `measurement`.
         field: &'static str,
         /// Index of the value.
         index: usize,
@@ -158,7 +158,7 @@ pub enum StateError {
     /// An integer value has a fraction.
     #[error("{field} {index} is {value}, not a whole number")]
     Fraction {
-        /// `coordinate` or `velocity`.
+        /// `coordinate`, `velocity`, `action` or `measurement`.
         field: &'static str,
         /// Index of the value.
         index: usize,
@@ -172,6 +172,12 @@ pub enum StateError {
         index: usize,
         /// Its squared length.
         squared: f32,
+    },
+    /// The number that says whether its episode is disturbed is neither 0 nor 1.
+    #[error("the number that says whether it is disturbed is {got}, not 0 or 1")]
+    Disturbed {
+        /// Number received.
+        got: u32,
     },
     /// The bytes are not a state of this external environment.
     #[error("{0}")]

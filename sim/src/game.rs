@@ -157,6 +157,8 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
             coordinates: episode.game.numbers(),
             velocities: Vec::new(),
             actions: Vec::new(),
+            measurements: Vec::new(),
+            draws: None,
         };
         Ok(state.to_bytes(&self.bounds.kind))
     }
@@ -213,6 +215,8 @@ fn bounds<G: Game>() -> StateBounds {
         velocities: 0,
         fastest: 0.0,
         actions: 0,
+        measurements: 0,
+        has_draws: false,
         orientation: None,
     }
 }

@@ -27,13 +27,13 @@ pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
     TaskDefinition,
 };
-pub use environment_batch::{EnvironmentBatch, Outcome};
+pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome};
 pub use error::{ActionError, SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;
 pub use robot::{Actuator, Robot, Torque, one_document};
 pub use scene::{Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated};
 pub use simulation::environments;
-pub use state::{State, StateBounds};
+pub use state::{EpisodeDraws, State, StateBounds};
 pub use task::task_names;
 pub use world::World;

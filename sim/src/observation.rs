@@ -27,10 +27,19 @@ pub(crate) struct Observation {
     view: View,
 }
 
+/// The global state, and which of its features agents may observe.
+pub(crate) struct GlobalState {
+    pub(crate) features: Vec<FeatureSpec>,
+    /// Number of first features that agents in `full_id` observe.
+    pub(crate) observed: usize,
+    /// Indices of the features that agents in `k_nearest` observe besides their neighbourhood.
+    pub(crate) shared: Vec<usize>,
+}
+
 #[derive(Clone, Debug)]
 enum View {
-    /// The global state, then the agent's one-hot index.
-    Whole,
+    /// This number of features of the global state, then the agent's one-hot index.
+    Whole(usize),
     /// Per agent, indices in the global state; `None` is padding.
     Places(Vec<Vec<Option<usize>>>),
 }
@@ -52,15 +61,15 @@ fn contact_name(body: &str, part: &str) -> String {
 }
 
 impl Observation {
-    /// `agents` contains the joints of each agent, `state` the features of the global state.
+    /// `agents` contains the joints of each agent.
     pub(crate) fn new(
         config: &ObservationConfig,
         robot: &Robot,
         agents: &[Vec<&str>],
-        state: &[FeatureSpec],
+        state: &GlobalState,
     ) -> Self {
         let view = match config.mode {
-            ObservationMode::FullId => View::Whole,
+            ObservationMode::FullId => View::Whole(state.observed),
             ObservationMode::KNearest => View::Places(padded(
                 agents.iter().map(|own| near(config, robot, own, state)).collect(),
             )),
@@ -71,10 +80,10 @@ impl Observation {
     /// Features of an agent's observation, given those of the global state.
     pub(crate) fn features(&self, agent: usize, state: &[FeatureSpec]) -> Vec<FeatureSpec> {
         match &self.view {
-            View::Whole => {
+            View::Whole(observed) => {
                 let number = (0..self.agents)
                     .map(|k| FeatureSpec { name: format!("id.{k}"), role: FeatureRole::Identity });
-                state.iter().cloned().chain(number).collect()
+                state[..*observed].iter().cloned().chain(number).collect()
             }
             View::Places(agents) => {
                 let padding =
@@ -86,10 +95,10 @@ impl Observation {
         }
     }
 
-    /// Indices of the features that an agent observes in a global state of `state` features.
-    pub(crate) fn seen(&self, agent: usize, state: usize) -> Vec<usize> {
+    /// Indices in the global state of the features that an agent observes.
+    pub(crate) fn seen(&self, agent: usize) -> Vec<usize> {
         match &self.view {
-            View::Whole => (0..state).collect(),
+            View::Whole(observed) => (0..*observed).collect(),
             View::Places(agents) => agents[agent].iter().copied().flatten().collect(),
         }
     }
@@ -97,12 +106,12 @@ impl Observation {
     /// Writes the observation of `agent`, given the global state.
     pub(crate) fn see(&self, agent: usize, state: &[f32], out: &mut [f32]) {
         match &self.view {
-            View::Whole => {
-                out[..state.len()].copy_from_slice(state);
-                out[state.len()..].fill(0.0);
-                out[state.len() + agent] = 1.0;
+            View::Whole(observed) => {
+                out[..*observed].copy_from_slice(&state[..*observed]);
+                out[*observed..].fill(0.0);
+                out[*observed + agent] = 1.0;
                 if self.norm == ObservationNorm::FeatureZ {
-                    standardise_with_number(out, state.len());
+                    standardise_with_number(out, *observed);
                 }
             }
             View::Places(agents) => {
@@ -120,12 +129,12 @@ impl Observation {
 }
 
 /// Indices in the global state of an agent's local observation: angles, speeds and contacts of its own joints, then the
-/// angles of other joints by increasing distance, then the root.
+/// angles of other joints by increasing distance, then the root, then what all agents share.
 pub(crate) fn near(
     config: &ObservationConfig,
     robot: &Robot,
     own: &[&str],
-    state: &[FeatureSpec],
+    state: &GlobalState,
 ) -> Vec<usize> {
     let neighbourhood = robot.neighbourhood();
     let levels = neighbourhood.levels(own, config.nearest);
@@ -141,8 +150,9 @@ pub(crate) fn near(
     if config.globals == RootView::Shown {
         names.extend(neighbourhood.globals.iter().cloned());
     }
-    let place = |name: &String| state.iter().position(|feature| feature.name == *name);
-    names.iter().map(|name| place(name).expect("neighbourhoods name features")).collect()
+    let place = |name: &String| state.features.iter().position(|feature| feature.name == *name);
+    let places = names.iter().map(|name| place(name).expect("neighbourhoods name features"));
+    places.chain(state.shared.iter().copied()).collect()
 }
 
 /// Pads all lists to the length of the longest.
@@ -192,7 +202,11 @@ mod tests {
 
     fn observe(norm: ObservationNorm, agent: usize) -> [f32; 5] {
         let mut out = [9.0; 5];
-        Observation { norm, agents: 2, view: View::Whole }.see(agent, &[3.0, -1.0, 2.0], &mut out);
+        Observation { norm, agents: 2, view: View::Whole(3) }.see(
+            agent,
+            &[3.0, -1.0, 2.0],
+            &mut out,
+        );
         out
     }
 

@@ -222,6 +222,8 @@ impl Robot {
             velocities: self.layout.velocity_names.len(),
             fastest: layout::FASTEST,
             actions: 0,
+            measurements: 0,
+            has_draws: false,
             orientation: self.layout.orientation,
         }
     }

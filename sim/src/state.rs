@@ -1,7 +1,8 @@
 //! A complete environment state and its encoding, which actors exchange and checkpoints store.
 //!
 //! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
-//! coordinates f32 `[nq]`, velocities f32 `[nv]`, last actions f32 `[na]`.
+//! coordinates f32 `[nq]`, velocities f32 `[nv]`, last actions f32 `[k, A]`, earlier measurements f32 `[d, M]`. If the
+//! task draws a command or disturbances, then the episode's key (32 bytes) and u32 1 if it is disturbed, else 0.
 
 use proto::EpisodePosition;
 
@@ -9,12 +10,25 @@ use crate::error::StateError;
 
 const MARK: &[u8; 4] = b"s2st";
 const HEADER_BYTES: usize = 28;
+const DRAWS_BYTES: usize = 36;
 
 /// Version of the layout above.
 pub(crate) const STATE_VERSION: u32 = 1;
 
 /// Largest action of the last step, as in trajectories: beyond it, a reward of the next step would not be finite.
 const LARGEST_ACTION: f32 = 1e9;
+
+/// Largest measurement of an earlier step, m, rad, m/s or rad/s; larger ones are clipped.
+pub(crate) const LARGEST_MEASUREMENT: f32 = 1e9;
+
+/// What the draws of an episode follow from, besides the step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EpisodeDraws {
+    /// The key of its reset.
+    pub key: [u8; 32],
+    /// Whether the task's disturbances act.
+    pub is_disturbed: bool,
+}
 
 /// Complete state from which an environment continues.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,8 +40,14 @@ pub struct State {
     pub coordinates: Vec<f32>,
     /// Generalised velocities `[nv]`, m/s and rad/s, in the order of [`crate::Robot::velocity_names`].
     pub velocities: Vec<f32>,
-    /// Controls of the last step, not clamped, in the order of the joint action, `[na]`; 0 at the start, empty unless the task's reward reads them.
+    /// Controls of the last `k` steps, the newest first, not clamped, in the order of the joint action, `[k, A]`; at the
+    /// start those of action 0. `k` is 0 unless the task's reward or its delays read them.
     pub actions: Vec<f32>,
+    /// Measurements in the `d` steps before, the newest first, `[d, M]`, m, rad, m/s and rad/s; at the start the first
+    /// one. `d` is 0 unless the task delays observations.
+    pub measurements: Vec<f32>,
+    /// `None` unless the task draws a command or disturbances.
+    pub draws: Option<EpisodeDraws>,
 }
 
 /// Bounds of a state of a robot in a task.
@@ -45,8 +65,12 @@ pub struct StateBounds {
     pub velocities: usize,
     /// Largest velocity, m/s or rad/s.
     pub fastest: f32,
-    /// Number of actions of the last step `na`.
+    /// Number of actions of the last steps `k A`.
     pub actions: usize,
+    /// Number of measurements `d M`.
+    pub measurements: usize,
+    /// Whether the task draws a command or disturbances.
+    pub has_draws: bool,
     /// First coordinate of a unit quaternion, if the root is free.
     pub orientation: Option<usize>,
 }
@@ -55,8 +79,9 @@ impl State {
     /// Encodes the state.
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
         let EpisodePosition { episode, step, limit } = self.position;
-        let numbers = || self.coordinates.iter().chain(&self.velocities).chain(&self.actions);
-        let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count());
+        let motion = || self.coordinates.iter().chain(&self.velocities);
+        let numbers = || motion().chain(&self.actions).chain(&self.measurements);
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count() + DRAWS_BYTES);
         bytes.extend_from_slice(MARK);
         bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
         bytes.extend_from_slice(&fnv1a(kind).to_le_bytes());
@@ -66,10 +91,14 @@ impl State {
         for value in numbers() {
             bytes.extend_from_slice(&value.to_le_bytes());
         }
+        if let Some(EpisodeDraws { key, is_disturbed }) = self.draws {
+            bytes.extend_from_slice(&key);
+            bytes.extend_from_slice(&u32::from(is_disturbed).to_le_bytes());
+        }
         bytes
     }
 
-    /// Decodes a state. The checks run in this order: length, magic bytes, version, kind, limit, step, numbers.
+    /// Decodes a state. The checks run in this order: length, magic bytes, version, kind, limit, step, numbers, draws.
     pub fn from_bytes(bytes: &[u8], bounds: &StateBounds) -> Result<Self, StateError> {
         let expected = bounds.bytes();
         if bytes.len() != expected {
@@ -77,11 +106,14 @@ impl State {
             return Err(StateError::Length { got: bytes.len(), expected, kind });
         }
         bounds.check_header(bytes)?;
+        let end = if bounds.has_draws { expected - DRAWS_BYTES } else { expected };
+        let (body, draws) = bytes.split_at(end);
         let numbers: Vec<f32> =
-            bytes[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
+            body[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
         let (coordinates, rest) = numbers.split_at(bounds.coordinates.len());
-        let (velocities, actions) = rest.split_at(bounds.velocities);
-        let state = Self {
+        let (velocities, rest) = rest.split_at(bounds.velocities);
+        let (actions, measurements) = rest.split_at(bounds.actions);
+        let mut state = Self {
             position: EpisodePosition {
                 episode: u64::from_le_bytes(array(&bytes[12..20])),
                 step: u32::from_le_bytes(array(&bytes[20..24])),
@@ -90,11 +122,29 @@ impl State {
             coordinates: coordinates.to_vec(),
             velocities: velocities.to_vec(),
             actions: actions.to_vec(),
+            measurements: measurements.to_vec(),
+            draws: None,
         };
         bounds.check_position(state.position)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
         check_all("action", &state.actions, LARGEST_ACTION)?;
+        check_all("measurement", &state.measurements, LARGEST_MEASUREMENT)?;
+        if bounds.has_draws {
+            state.draws = Some(EpisodeDraws::from_bytes(draws)?);
+        }
         Ok(state)
+    }
+}
+
+impl EpisodeDraws {
+    fn from_bytes(bytes: &[u8]) -> Result<Self, StateError> {
+        let (key, word) = bytes.split_at(32);
+        let is_disturbed = match u32::from_le_bytes(array(word)) {
+            0 => false,
+            1 => true,
+            got => return Err(StateError::Disturbed { got }),
+        };
+        Ok(Self { key: array(key), is_disturbed })
     }
 }
 
@@ -102,7 +152,8 @@ impl StateBounds {
     /// Encoded size in bytes.
     pub fn bytes(&self) -> usize {
         let motion = self.coordinates.len() + self.velocities;
-        HEADER_BYTES + 4 * (motion + self.actions)
+        let draws = if self.has_draws { DRAWS_BYTES } else { 0 };
+        HEADER_BYTES + 4 * (motion + self.actions + self.measurements) + draws
     }
 
     /// Checks that all coordinates and velocities are finite and within bounds.

@@ -2,7 +2,9 @@
 //! task file, which is part of the program or of the settings.
 
 mod actions;
+mod command;
 mod definition;
+mod disturbance;
 mod names;
 mod rules;
 mod terms;
@@ -10,9 +12,10 @@ mod terms;
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
-use actions::Controls;
-pub(crate) use definition::TaskFile;
+use actions::control_ranges;
 use definition::refused;
+pub(crate) use definition::{Audience, TaskFile};
+pub(crate) use disturbance::DrawnEpisode;
 use names::Names;
 pub(crate) use rules::Rules;
 pub(crate) use terms::Transition;
@@ -31,7 +34,8 @@ pub(crate) struct Task {
     /// Steps after which an episode is truncated.
     pub(crate) episode_steps: u32,
     pub(crate) rules: Rules,
-    pub(crate) controls: Controls,
+    /// Controls for the actions -1 and 1, in the order of the model's actuators.
+    pub(crate) control_ranges: Vec<[f32; 2]>,
 }
 
 /// Coordinates and velocities of a robot at one time.
@@ -53,10 +57,13 @@ impl Motion<'_> {
 }
 
 /// Task files and models that are part of the program.
-const SHIPPED: [[&str; 2]; 3] = [
+const SHIPPED: [[&str; 2]; 6] = [
     [include_str!("../assets/halfcheetah.toml"), include_str!("../assets/halfcheetah.xml")],
     [include_str!("../assets/walker2d.toml"), include_str!("../assets/walker2d.xml")],
     [include_str!("../assets/ant.toml"), include_str!("../assets/ant.xml")],
+    [include_str!("../assets/halfcheetah-pushed.toml"), include_str!("../assets/halfcheetah.xml")],
+    [include_str!("../assets/walker2d-pushed.toml"), include_str!("../assets/walker2d.xml")],
+    [include_str!("../assets/ant-pushed.toml"), include_str!("../assets/ant.xml")],
 ];
 
 static FILES: LazyLock<Vec<(TaskFile, &str)>> = LazyLock::new(|| {
@@ -121,12 +128,12 @@ impl Task {
         let agents = motors_of(agents, &robot)?;
         let rules = Rules::new(file, &robot)?;
         check_neighbourhood(&robot, &rules)?;
-        let controls = Controls::new(&file.actions, &rules, &robot)?;
+        let control_ranges = control_ranges(&file.actions, &rules, &robot)?;
         Ok(Self {
             name: name.to_owned(),
             robot,
             agents,
-            controls,
+            control_ranges,
             episode_steps: file.episode_steps,
             rules,
         })
@@ -269,8 +276,9 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
 
 /// Checks that the features which `k_nearest` shows exist.
 fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
-    let features = rules.state_features(robot).into_iter().map(|feature| feature.name);
-    let features: Vec<String> = features.collect();
+    let mut features = rules.measured_features(robot);
+    features.extend([rules.command_features(), rules.disturbance_features()].concat());
+    let features: Vec<String> = features.into_iter().map(|feature| feature.name).collect();
     let state = Names::new("feature in its global state", &features);
     let driven = robot.blueprint().motors.iter().map(|motor| ("agents", &motor.joint));
     let near = robot.neighbourhood().edges.iter().flatten();

@@ -1,5 +1,6 @@
 //! One robot in one rapier world: rebuild, step, read.
 
+mod conditions;
 mod constraints;
 mod contact_law;
 mod diagnostics;
@@ -11,6 +12,7 @@ use rapier3d::dynamics::{Multibody, MultibodyJoint};
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::{MultibodyIndex, PhysicsWorld};
 
+pub(crate) use conditions::EpisodeConditions;
 pub(crate) use constraints::Constraints;
 pub(crate) use contact_law::ContactLaw;
 pub(crate) use hinge_drives::HingeDrives;
@@ -35,6 +37,8 @@ pub struct World {
     enforcer: Enforcer,
     /// Physics steps in an environment step.
     substeps: u32,
+    /// Differences from the model; `None` for the model itself.
+    conditions: Option<EpisodeConditions>,
 }
 
 impl World {
@@ -59,6 +63,7 @@ impl World {
             },
             physics,
             substeps: robot.frame_skip() * parts,
+            conditions: None,
             robot: Arc::clone(&robot),
         };
         world.rebuild(robot.rest(), &vec![0.0; robot.velocity_names().len()]);
@@ -184,6 +189,7 @@ impl World {
     fn start(&mut self, coordinates: &[f32], velocities: &[f32]) {
         self.robot.template().copy_into(&mut self.physics);
         self.drives.clear();
+        self.apply_conditions();
         self.write(coordinates, velocities);
     }
 

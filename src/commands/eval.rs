@@ -8,8 +8,9 @@ use learner::observe::event::Spread;
 use proto::ActionChoice;
 use rollout::{Episode, StepEvent};
 use serde_json::json;
-use sim::EnvironmentBatch;
+use sim::{Disturbances, EnvironmentBatch};
 
+use crate::errors::Usage;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
@@ -27,6 +28,9 @@ pub(crate) struct EvalArguments {
     /// Sample actions as in training (seed of episode I: SEED + I) instead of using the mean or most probable action.
     #[arg(long, value_name = "SEED", num_args = 0..=1, default_missing_value = "0")]
     pub(crate) sampled: Option<u64>,
+    /// Play the episodes twice: without and then with the disturbances of the task.
+    #[arg(long)]
+    pub(crate) disturbed: bool,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     pub(crate) json: bool,
@@ -36,11 +40,23 @@ pub(crate) struct EvalArguments {
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let trained = stored::trained(&arguments.run)?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
-    let episodes = play(hosted.environment.as_mut(), &trained, arguments)?;
+    let world = hosted.environment.as_mut();
+    if arguments.disturbed && !world.can_be_disturbed() {
+        let why = "--disturbed: the task has no [disturbance] (docs/ADDING_A_TASK.md)";
+        return Err(Usage::new(why.to_owned()).into());
+    }
+    if arguments.disturbed {
+        world.set_disturbances(Disturbances::Off);
+    }
+    let plain = play(world, &trained, arguments)?;
+    let disturbed = arguments.disturbed.then(|| {
+        world.set_disturbances(Disturbances::AsInTraining);
+        play(world, &trained, arguments)
+    });
+    let disturbed = disturbed.transpose()?;
     let task = &hosted.environment.description().task;
-    let spread = Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
     if arguments.json {
-        output::line(as_json(task, &trained, &episodes, &spread));
+        output::line(as_json(task, &trained, &plain, disturbed.as_deref()));
         return Ok(());
     }
     let simulator = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
@@ -51,7 +67,13 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let last = trained.episode(arguments.episodes - 1).id();
     output::line(format!("{run}: {simulator}{task} after {steps} env steps"));
     output::line(format!("episodes {first} to {last}, seed {seed}\n"));
-    output::line(as_table(&episodes, &spread));
+    match disturbed {
+        None => output::line(as_table(&plain)),
+        Some(disturbed) => {
+            output::line(format!("without disturbances\n{}\n", as_table(&plain)));
+            output::line(format!("with disturbances\n{}", as_table(&disturbed)));
+        }
+    }
     Ok(())
 }
 
@@ -81,22 +103,33 @@ fn play(
     (0..arguments.episodes).map(episode).collect()
 }
 
+/// The results; with `--disturbed`, those without disturbances, and under `disturbed` those with them.
 fn as_json(
     task: &str,
     trained: &Trained,
-    episodes: &[Episode],
-    spread: &Spread,
+    plain: &[Episode],
+    disturbed: Option<&[Episode]>,
 ) -> serde_json::Value {
+    let mut object = results(trained, plain);
+    object["task"] = json!(task);
+    object["seed"] = json!(trained.config.run.seed);
+    object["iteration"] = json!(trained.iteration);
+    object["env_steps"] = json!(trained.env_steps);
+    if let Some(disturbed) = disturbed {
+        object["disturbed"] = results(trained, disturbed);
+    }
+    object
+}
+
+/// Returns of episodes and their statistics.
+fn results(trained: &Trained, episodes: &[Episode]) -> serde_json::Value {
+    let spread = Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
     let as_json = |(index, played): (u32, &Episode)| {
         let id = trained.episode(index).id();
         json!({ "episode_id": id, "return": played.extrinsic_return, "steps": played.steps })
     };
     let episodes: Vec<serde_json::Value> = (0..).zip(episodes).map(as_json).collect();
     json!({
-        "task": task,
-        "seed": trained.config.run.seed,
-        "iteration": trained.iteration,
-        "env_steps": trained.env_steps,
         "return_mean": spread.mean,
         "return_standard_deviation": spread.standard_deviation,
         "return_minimum": spread.minimum,
@@ -105,11 +138,12 @@ fn as_json(
     })
 }
 
-fn as_table(episodes: &[Episode], spread: &Spread) -> String {
+fn as_table(episodes: &[Episode]) -> String {
     let mut text = "episode      return   steps\n".to_owned();
     for (index, Episode { extrinsic_return, steps, .. }) in episodes.iter().enumerate() {
         text += &format!("{index:>7} {extrinsic_return:>11.2} {steps:>7}\n");
     }
-    let Spread { mean, standard_deviation, minimum, maximum } = spread;
+    let Spread { mean, standard_deviation, minimum, maximum } =
+        Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
     text + &format!("\nreturn {mean:.2} ± {standard_deviation:.2} ({minimum:.2} to {maximum:.2})")
 }

@@ -222,6 +222,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     output::line(as_table(world.description()).trim_end());
     output::line(links(robot));
     output::line(joints(robot));
+    for line in world.drawn() {
+        output::line(format!("drawn {line}"));
+    }
     for warning in world.warnings() {
         output::line(format!("warning: {warning}"));
     }

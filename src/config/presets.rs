@@ -35,6 +35,7 @@ pub(crate) const TASKS: &[Preset] = presets!(
     "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1",
     "walker2d-2x3", "walker2d-3x2", "walker2d-6x1",
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",
+    "halfcheetah-pushed-2x3", "walker2d-pushed-2x3", "ant-pushed-4x2",
 );
 
 /// Settings per algorithm.

@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use policy::{DrawKey, PolicySnapshot};
 use proto::ActionChoice;
 use rollout::{PlayedStep, StepEvent};
-use sim::{EnvironmentBatch, Outcome, Pose, TaskConfig, World};
+use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, TaskConfig, World};
 
 use crate::errors::Usage;
 use crate::film::{RobotShapes, TimedPose};
@@ -32,6 +32,7 @@ impl PlayedEpisode {
         key: DrawKey,
     ) -> anyhow::Result<Self> {
         let mut world = sim::environments(task, 1).context("cannot build the task")?;
+        world.set_disturbances(Disturbances::AsInEvaluations);
         let Some(robot) = RobotShapes::of(&*world) else {
             let why = format!("{} is a game: there is nothing to draw", task.task);
             return Err(Usage::new(why).into());

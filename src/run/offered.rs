@@ -4,7 +4,7 @@ use actor::{EnvironmentService, Transport};
 use anyhow::Context as _;
 use learner::lease::end_states::StateReader;
 use proto::EnvironmentSpec;
-use sim::{EnvironmentBatch, State};
+use sim::{Disturbances, EnvironmentBatch, State};
 use tokio::runtime::Runtime;
 
 use crate::config::ConfigError;
@@ -97,12 +97,14 @@ pub(crate) struct RunEnvironment {
 }
 
 impl RunEnvironment {
-    /// Builds the environment or connects to the external program; refuses another environment than the run's.
+    /// Builds the environment or connects to the external program; refuses another environment than the run's. Its episodes
+    /// are those of evaluations.
     pub(crate) fn of(config: &RunConfig) -> anyhow::Result<Self> {
         let url = config.environment.url.as_str();
         if url.is_empty() {
-            let environment =
+            let mut environment =
                 sim::environments(&config.task, 1).context("cannot build the task")?;
+            environment.set_disturbances(Disturbances::AsInEvaluations);
             return Ok(Self { environment, _network: None });
         }
         demand_allowed(url, &Transport::PlainTextOnLoopback)?;

@@ -139,7 +139,8 @@ fn settings_in_the_readme_are_accepted() {
 
 #[test]
 fn the_example_of_a_task_stands_word_for_word_in_the_simulator() {
-    let files = ["sim/assets/hopper.xml", "sim/assets/hopper.toml"].map(read);
+    let files = ["hopper.xml", "hopper.toml", "walker2d-pushed.toml"];
+    let files = files.map(|name| read(&format!("sim/assets/{name}")));
     let document = read("docs/ADDING_A_TASK.md");
     // The first block has the commands, which tests/system/own_task.rs runs.
     let blocks = document.split("```").skip(1).step_by(2).skip(1);

@@ -4,9 +4,9 @@ use proto::{ActionSpec, AgentSpec, EnvironmentSpec};
 
 use crate::action_scale::ActionScale;
 use crate::config::ObservationConfig;
-use crate::observation::{self, Observation, contact_features};
+use crate::observation::{self, GlobalState, Observation, contact_features};
 use crate::state::{STATE_VERSION, StateBounds};
-use crate::task::Task;
+use crate::task::{Audience, Task};
 
 pub(super) fn describe(
     task: &Task,
@@ -14,8 +14,7 @@ pub(super) fn describe(
     bounds: &StateBounds,
 ) -> (EnvironmentSpec, Observation) {
     let robot = &task.robot;
-    let mut state = task.rules.state_features(robot);
-    state.extend(contact_features(robot, config.contact_forces));
+    let state = global_state(task, config);
     let joints: Vec<&str> = robot.actuators().map(|actuator| actuator.joint).collect();
     let driven: Vec<Vec<&str>> = task
         .agents
@@ -23,18 +22,22 @@ pub(super) fn describe(
         .map(|motors| motors.iter().map(|&motor| joints[motor]).collect())
         .collect();
     let observation = Observation::new(config, robot, &driven, &state);
+    let seen = |index: usize| match task.rules.disturbance().change_sensors() {
+        true => Vec::new(),
+        false => observation.seen(index),
+    };
     let agents = task.agents.iter().enumerate().map(|(index, motors)| AgentSpec {
         name: format!("agent_{index}"),
         joints: motors.iter().map(|&motor| joints[motor].to_owned()).collect(),
-        observation: observation.features(index, &state),
-        seen: observation.seen(index, state.len()),
+        observation: observation.features(index, &state.features),
+        seen: seen(index),
         near: observation::near(config, robot, &driven[index], &state),
         action: ActionSpec::continuous(motors.len()),
     });
     let description = EnvironmentSpec {
         task: task.name.clone(),
         agents: agents.collect(),
-        state,
+        state: state.features,
         dt_secs: robot.step_secs(),
         episode_steps: task.episode_steps,
         state_kind: bounds.kind.clone(),
@@ -43,6 +46,22 @@ pub(super) fn describe(
         feature_z: false,
     };
     (description, observation)
+}
+
+/// The global state: measured features, command, contact forces, disturbances.
+fn global_state(task: &Task, config: &ObservationConfig) -> GlobalState {
+    let rules = &task.rules;
+    let mut features = rules.measured_features(&task.robot);
+    let command = features.len();
+    features.extend(rules.command_features());
+    let mut shared: Vec<usize> = (command..features.len()).collect();
+    features.extend(contact_features(&task.robot, config.contact_forces));
+    let disturbances = features.len();
+    features.extend(rules.disturbance_features());
+    let shows_disturbances = rules.audience() == Audience::Agents;
+    let observed = if shows_disturbances { features.len() } else { disturbances };
+    shared.extend(disturbances..observed);
+    GlobalState { features, observed, shared }
 }
 
 /// A motor that a component of the joint action drives.
@@ -59,7 +78,7 @@ impl Driven {
     /// Motors of all agents, in agent order, `[A]`.
     pub(super) fn all(task: &Task) -> Vec<Self> {
         let driven = |&motor: &usize| {
-            let range = task.controls.ranges[motor];
+            let range = task.control_ranges[motor];
             Self { motor, range, scale: ActionScale::to(range) }
         };
         task.agents.iter().flatten().map(driven).collect()

@@ -252,6 +252,22 @@ pub(crate) struct Servo {
     pub(crate) range: Option<[f32; 2]>,
 }
 
+impl MotorPlan {
+    /// The motor with `strength` times its torque at every control and motion.
+    pub(crate) fn strengthened(&self, strength: f32) -> Self {
+        let mut motor = self.clone();
+        match &mut motor.servo {
+            None => motor.gear *= strength,
+            Some(servo) => {
+                servo.gain *= strength;
+                servo.bias = servo.bias.map(|part| part * strength);
+                servo.range = servo.range.map(|range| range.map(|end| end * strength));
+            }
+        }
+        motor
+    }
+}
+
 impl LinkPlan {
     /// The hinge or slide of the link, if that is its joint.
     pub(crate) fn hinge(&self) -> Option<&Hinge> {

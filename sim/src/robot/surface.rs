@@ -43,6 +43,11 @@ pub(crate) struct ContactOverride {
 }
 
 impl ContactPlan {
+    /// The contact with all friction coefficients times `factor`.
+    pub(crate) fn with_friction(self, factor: f64) -> Self {
+        Self { friction: self.friction.map(|mu| (mu * factor).max(LEAST_FRICTION)), ..self }
+    }
+
     /// Friction coefficient against sliding; 0 without friction.
     pub(crate) fn sliding_friction(&self) -> f64 {
         if self.dimensions == 1 { 0.0 } else { self.friction[0] }

@@ -5,39 +5,32 @@ use super::rules::Rules;
 use crate::error::SimError;
 use crate::robot::{MotorPlan, Robot};
 
-/// Controls for the actions -1 and 1, and for the last action before an episode, in the order of the model's actuators.
-pub(crate) struct Controls {
-    pub(crate) ranges: Vec<[f32; 2]>,
-    /// 0 unless actions are changes of the start's controls.
-    pub(crate) first: Vec<f32>,
-}
-
-impl Controls {
-    pub(super) fn new(row: &ActionsRow, rules: &Rules, robot: &Robot) -> Result<Self, SimError> {
-        let motors = &robot.blueprint().motors;
-        if let Some(scale) = row.scale {
-            within("actions.scale", scale, 1e-6, 1e6)?;
-        }
-        if row.around == Around::Range {
-            if row.scale.is_some() {
-                return Err(refused("actions.scale needs around = \"start\""));
-            }
-            let ranges = motors.iter().map(|motor| motor.range).collect();
-            return Ok(Self { ranges, first: vec![0.0; motors.len()] });
-        }
-        let pose = rules.start_pose(robot).0;
-        let (mut ranges, mut first) = (Vec::new(), Vec::new());
-        for (index, motor) in motors.iter().enumerate() {
-            let [low, high] = motor.range;
-            let held = held_control(motor, pose[robot.layout().hinge_coordinate(motor.hinge)]);
-            let stated = rules.start_control(index);
-            let middle = stated.or(held).unwrap_or(low / 2.0 + high / 2.0).clamp(low, high);
-            let half = row.scale.filter(|_| held.is_some()).unwrap_or(high / 2.0 - low / 2.0);
-            ranges.push([middle - half, middle + half]);
-            first.push(middle);
-        }
-        Ok(Self { ranges, first })
+/// Controls for the actions -1 and 1, in the order of the model's actuators.
+pub(super) fn control_ranges(
+    row: &ActionsRow,
+    rules: &Rules,
+    robot: &Robot,
+) -> Result<Vec<[f32; 2]>, SimError> {
+    let motors = &robot.blueprint().motors;
+    if let Some(scale) = row.scale {
+        within("actions.scale", scale, 1e-6, 1e6)?;
     }
+    if row.around == Around::Range {
+        if row.scale.is_some() {
+            return Err(refused("actions.scale needs around = \"start\""));
+        }
+        return Ok(motors.iter().map(|motor| motor.range).collect());
+    }
+    let pose = rules.start_pose(robot).0;
+    let range = |(index, motor): (usize, &MotorPlan)| {
+        let [low, high] = motor.range;
+        let held = held_control(motor, pose[robot.layout().hinge_coordinate(motor.hinge)]);
+        let stated = rules.start_control(index);
+        let middle = stated.or(held).unwrap_or(low / 2.0 + high / 2.0).clamp(low, high);
+        let half = row.scale.filter(|_| held.is_some()).unwrap_or(high / 2.0 - low / 2.0);
+        [middle - half, middle + half]
+    };
+    Ok(motors.iter().enumerate().map(range).collect())
 }
 
 /// Control with which a servo of the position rests at a coordinate; `None` for other motors.

@@ -1,11 +1,16 @@
 //! A task file: a robot's model, agents, reward, start, end and state as data. TOML, with an MJCF file beside it.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
+use rand::RngCore;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
+use super::command::{CommandRow, Heading};
+use super::disturbance::DisturbanceRow;
 use crate::error::SimError;
+use crate::noise;
 use crate::robot::{Neighbourhood, Physics, RobotRow};
 use crate::spelling;
 
@@ -41,6 +46,12 @@ pub(crate) struct TaskFile {
     /// Features of the global state.
     #[serde(default)]
     pub(crate) state: StateRow,
+    /// Target velocity that the agents observe.
+    #[serde(default)]
+    pub(crate) command: CommandRow,
+    /// What disturbs the episodes.
+    #[serde(default)]
+    pub(crate) disturbance: DisturbanceRow,
     #[serde(default)]
     neighbourhood: Neighbourhood,
     #[serde(default)]
@@ -63,6 +74,10 @@ pub(crate) struct TermRow {
     pub(crate) range: Option<[f32; 2]>,
     /// Point that `target_distance` measures to, one value per named coordinate, m.
     pub(crate) target: Option<BTreeMap<String, f32>>,
+    /// Components of the command that `velocity_tracking` reads.
+    pub(crate) components: Option<Vec<Heading>>,
+    /// Error of `velocity_tracking` at which it is `1 / e`, m/s or rad/s.
+    pub(crate) sigma: Option<f32>,
 }
 
 /// Names of the terms.
@@ -83,6 +98,8 @@ pub(crate) enum TermName {
     InRange,
     /// [`super::terms::action_rate`]
     ActionRate,
+    /// [`super::terms::velocity_tracking`]
+    VelocityTracking,
 }
 
 /// Range of a coordinate, in the model's own frame, m or rad, or of a feature.
@@ -147,7 +164,32 @@ pub(crate) enum Noise {
     Normal(f32),
 }
 
-/// Features of the global state: coordinates, then velocities, then contact forces, which are 0.
+impl Noise {
+    /// Draws a number.
+    pub(super) fn draw(self, rng: &mut impl RngCore) -> f32 {
+        match self {
+            Self::Uniform(width) => noise::symmetric(rng, width),
+            Self::Normal(deviation) => deviation * noise::normal(rng),
+        }
+    }
+
+    /// Half width or standard deviation.
+    pub(super) fn size(self) -> f32 {
+        match self {
+            Self::Uniform(size) | Self::Normal(size) => size,
+        }
+    }
+}
+
+/// `uniform 0.1`
+impl fmt::Display for Noise {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = if matches!(self, Self::Uniform(_)) { "uniform" } else { "normal" };
+        write!(f, "{name} {}", self.size())
+    }
+}
+
+/// Features of the global state: coordinates, then velocities, the command, contact forces, which are 0, and disturbances.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct StateRow {
@@ -157,6 +199,8 @@ pub(crate) struct StateRow {
     pub(crate) largest_velocity: Option<f32>,
     /// Axes of a free root's angular velocity.
     pub(crate) angular_velocity: Axes,
+    /// Who observes what the episode has drawn of `[disturbance]`.
+    pub(crate) disturbances: Audience,
     /// Whether the state may have features of contact forces, which `observation.contact_forces` selects.
     pub(crate) contact_forces: bool,
 }
@@ -170,6 +214,19 @@ pub(crate) enum Axes {
     World,
     /// Axes of the root.
     Body,
+}
+
+/// Who observes the disturbances of an episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Audience {
+    /// They are no features of the global state.
+    #[default]
+    Nobody,
+    /// They are features of the global state that no agent observes.
+    Critic,
+    /// The agents, too.
+    Agents,
 }
 
 impl TaskFile {

@@ -5,14 +5,16 @@ use rand::RngCore;
 use rapier3d::math::{Rotation, Vector};
 
 use super::Motion;
-use super::definition::{Axes, HealthyRow, Noise, StartRow, TaskFile, refused, within};
+use super::command::CommandRanges;
+use super::definition::{Audience, Axes, HealthyRow, Noise, StartRow, TaskFile, refused, within};
+use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
 use super::terms::{self, RootTilt, Transition, WeightedSum};
 use crate::error::SimError;
-use crate::noise;
 use crate::robot::{Keyframe, Robot};
+use crate::state::EpisodeDraws;
 
-/// Largest draw of the standard normal distribution in [`noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
+/// Largest draw of the standard normal distribution in [`crate::noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
 const FARTHEST_NORMAL: f32 = 5.77;
 /// Largest noise of a quaternion's components. The noise of all four is shorter than the quaternion, which is 1 long.
 const LARGEST_TURN: f32 = 0.25;
@@ -58,6 +60,12 @@ pub(crate) struct Rules {
     /// First velocity of the root's rotation, if it is expressed in the root's axes.
     turning_in_body: Option<usize>,
     contact_forces: bool,
+    command: CommandRanges,
+    disturbance: DisturbanceRanges,
+    /// Who observes the disturbances.
+    audience: Audience,
+    /// Number of features that describe the disturbances.
+    described: usize,
 }
 
 impl Rules {
@@ -65,12 +73,18 @@ impl Rules {
     pub(super) fn new(file: &TaskFile, robot: &Robot) -> Result<Self, SimError> {
         let names = Names::coordinates(robot);
         let orientation = robot.layout().orientation;
-        let mut rules = Self {
+        let command = CommandRanges::new(&file.command, robot)?;
+        let shown = shown(&file.state.hidden, names, robot)?;
+        let measured = measured_features(&shown, robot);
+        let disturbance = DisturbanceRanges::new(&file.disturbance, robot, &measured)?;
+        let features: Vec<String> = measured.into_iter().map(|feature| feature.name).collect();
+        let healthy = file.healthy.iter().map(|row| checked_healthy(row, robot, &features));
+        let rules = Self {
             start: checked_start(&file.start, names, robot)?,
-            reward: WeightedSum::new("reward", &file.reward, robot)?,
-            cost: WeightedSum::new("cost", &file.cost, robot)?,
-            healthy: Vec::new(),
-            shown: shown(&file.state.hidden, names, robot)?,
+            reward: WeightedSum::new("reward", &file.reward, robot, &command)?,
+            cost: WeightedSum::new("cost", &file.cost, robot, &command)?,
+            healthy: healthy.collect::<Result<_, _>>()?,
+            shown,
             largest_velocity: file.state.largest_velocity,
             orientation,
             turning_in_body: match (file.state.angular_velocity, orientation) {
@@ -83,14 +97,17 @@ impl Rules {
                 }
             },
             contact_forces: file.state.contact_forces,
+            command,
+            described: match file.state.disturbances {
+                Audience::Nobody => 0,
+                Audience::Critic | Audience::Agents => disturbance.features().len(),
+            },
+            disturbance,
+            audience: file.state.disturbances,
         };
         if let Some(largest) = rules.largest_velocity {
             within("state.largest_velocity", largest, 1e-3, 1e6)?;
         }
-        let features = rules.state_features(robot).into_iter().map(|feature| feature.name);
-        let features: Vec<String> = features.collect();
-        let healthy = file.healthy.iter().map(|row| checked_healthy(row, robot, &features));
-        rules.healthy = healthy.collect::<Result<_, _>>()?;
         Ok(rules)
     }
 
@@ -117,7 +134,7 @@ impl Rules {
     ) {
         self.start.apply(coordinates, velocities);
         if let Some(distribution) = self.start.positions {
-            coordinates.iter_mut().for_each(|number| *number += draw(distribution, rng));
+            coordinates.iter_mut().for_each(|number| *number += distribution.draw(rng));
         }
         let moves = self.start.positions.is_some() || !self.start.coordinates.is_empty();
         if let (true, Some(first)) = (moves, self.orientation) {
@@ -126,7 +143,7 @@ impl Rules {
             quaternion.iter_mut().for_each(|q| *q /= length);
         }
         if let Some(distribution) = self.start.velocities {
-            velocities.iter_mut().for_each(|number| *number += draw(distribution, rng));
+            velocities.iter_mut().for_each(|number| *number += distribution.draw(rng));
         }
     }
 
@@ -156,17 +173,55 @@ impl Rules {
         self.reward.reads_last_action() || self.cost.reads_last_action()
     }
 
-    /// Features of the global state, without contact forces: positions, then velocities.
-    pub(crate) fn state_features(&self, robot: &Robot) -> Vec<FeatureSpec> {
-        let signal = |name| FeatureSpec { name, role: FeatureRole::Signal };
-        let positions = self.shown.iter().map(|&index| &robot.coordinate_names()[index]);
-        let positions = positions.map(|name| signal(format!("{name}.position")));
-        let velocities = robot.velocity_names().iter();
-        positions.chain(velocities.map(|name| signal(format!("{name}.velocity")))).collect()
+    /// The disturbances that the task states.
+    pub(crate) fn disturbance(&self) -> &DisturbanceRanges {
+        &self.disturbance
     }
 
-    /// Writes the global state, without contact forces, to the start of `out`.
-    pub(crate) fn state(&self, motion: &Motion<'_>, out: &mut [f32]) {
+    /// Who observes the disturbances.
+    pub(crate) fn audience(&self) -> Audience {
+        self.audience
+    }
+
+    /// Whether an episode draws anything besides its start.
+    pub(crate) fn has_draws(&self) -> bool {
+        !self.command.is_empty() || self.disturbance.are_stated()
+    }
+
+    /// What an episode draws besides its start, one line each.
+    pub(crate) fn drawn_lines(&self) -> Vec<String> {
+        [self.command.lines(), self.disturbance.lines()].concat()
+    }
+
+    /// Draws the command and the disturbances of an episode.
+    pub(crate) fn draw(&self, draws: &EpisodeDraws) -> DrawnEpisode {
+        DrawnEpisode { command: self.command.draw(draws.key), ..self.disturbance.draw(draws) }
+    }
+
+    /// Measured features of the global state: positions, then velocities, `[M]`.
+    pub(crate) fn measured_features(&self, robot: &Robot) -> Vec<FeatureSpec> {
+        measured_features(&self.shown, robot)
+    }
+
+    /// Features of the command, which follow the measured ones, `[C]`.
+    pub(crate) fn command_features(&self) -> Vec<FeatureSpec> {
+        self.command.features()
+    }
+
+    /// Features of the disturbances, the last ones of the global state; empty if nobody observes them.
+    pub(crate) fn disturbance_features(&self) -> Vec<FeatureSpec> {
+        let mut features = self.disturbance.features();
+        features.truncate(self.described);
+        features
+    }
+
+    /// Writes the global state: the measured features and the command to the start of `out`, the disturbances to its end.
+    /// Features of contact forces, between them, stay as they are.
+    pub(crate) fn state(&self, motion: &Motion<'_>, drawn: &DrawnEpisode, out: &mut [f32]) {
+        let command = self.shown.len() + motion.velocities.len();
+        out[command..][..drawn.command.len()].copy_from_slice(&drawn.command);
+        let disturbances = out.len() - self.described;
+        self.disturbance.write(drawn, &mut out[disturbances..]);
         let (positions, rest) = out.split_at_mut(self.shown.len());
         for (to, &index) in positions.iter_mut().zip(&self.shown) {
             *to = motion.position(index);
@@ -201,11 +256,12 @@ impl HealthyRow {
     }
 }
 
-fn draw(distribution: Noise, rng: &mut impl RngCore) -> f32 {
-    match distribution {
-        Noise::Uniform(width) => noise::symmetric(rng, width),
-        Noise::Normal(deviation) => deviation * noise::normal(rng),
-    }
+fn measured_features(shown: &[usize], robot: &Robot) -> Vec<FeatureSpec> {
+    let signal = |name| FeatureSpec { name, role: FeatureRole::Signal };
+    let positions = shown.iter().map(|&index| &robot.coordinate_names()[index]);
+    let positions = positions.map(|name| signal(format!("{name}.position")));
+    let velocities = robot.velocity_names().iter();
+    positions.chain(velocities.map(|name| signal(format!("{name}.velocity")))).collect()
 }
 
 /// Refuses a start that could leave the bounds of a state.
@@ -287,11 +343,8 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
 
 /// The largest noise that a distribution draws.
 fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32, SimError> {
-    let (size, factor) = match distribution {
-        None => (0.0, 0.0),
-        Some(Noise::Uniform(width)) => (width, 1.0),
-        Some(Noise::Normal(deviation)) => (deviation, FARTHEST_NORMAL),
-    };
+    let factor = if matches!(distribution, Some(Noise::Normal(_))) { FARTHEST_NORMAL } else { 1.0 };
+    let size = distribution.map_or(0.0, Noise::size);
     within(key, size, 0.0, fastest / FARTHEST_NORMAL).map(|()| size * factor)
 }
 

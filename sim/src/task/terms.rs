@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::Motion;
-use super::definition::{TermName, TermRow, refused};
+use super::command::{CommandRanges, Heading};
+use super::definition::{TermName, TermRow, refused, within};
 use super::names::Names;
 use crate::error::SimError;
 use crate::robot::{MapKind, Robot};
@@ -16,8 +17,11 @@ pub(crate) struct Transition<'a> {
     pub(crate) after: Motion<'a>,
     /// Controls of all agents' motors in agent order, in the motors' own units, not clamped, `[A]`.
     pub(crate) control: &'a [f32],
-    /// Controls of the step before, 0 at the start, `[A]`; empty unless a term reads them.
+    /// Controls of the steps before, the newest first, at the start those of action 0, `[k, A]`; empty unless a term or a
+    /// delay reads them.
     pub(crate) last_control: &'a [f32],
+    /// Target velocity, m/s and rad/s, `[C]`.
+    pub(crate) command: &'a [f32],
     /// Duration of the step, s.
     pub(crate) dt_secs: f32,
 }
@@ -32,6 +36,7 @@ enum Term {
     Upright { root: RootTilt },
     InRange { coordinate: usize, range: [f32; 2] },
     ActionRate,
+    VelocityTracking { command: CommandRanges, components: Vec<(usize, Heading)>, sigma: f32 },
 }
 
 /// Coordinates that determine the tilt of the root.
@@ -82,10 +87,27 @@ pub(super) fn in_range(step: &Transition<'_>, coordinate: usize, [low, high]: [f
 }
 
 /// `sum (c - c_last)^2` over the controls of all agents' motors before clamping, in squared units of control.
-/// `c_last` is 0 in the first step of an episode, or the start's controls with `actions.around = "start"`.
+/// In the first step of an episode, `c_last` is the control of action 0.
 pub(super) fn action_rate(step: &Transition<'_>) -> f32 {
     let changes = step.control.iter().zip(step.last_control);
     changes.map(|(now, last)| (now - last) * (now - last)).sum()
+}
+
+/// `exp(-sum (v - c)^2 / sigma^2)` over components of the command `c`, with the root's velocity `v` after the step in
+/// its own heading ([`CommandRanges::velocity`]): 1 at the target; no unit. `components` has indices in the command.
+/// This is the tracking reward of legged-robot work, such as legged_gym's `tracking_lin_vel`, whose `tracking_sigma` is
+/// `sigma^2`.
+pub(super) fn velocity_tracking(
+    step: &Transition<'_>,
+    command: &CommandRanges,
+    components: &[(usize, Heading)],
+    sigma: f32,
+) -> f32 {
+    let error = |(index, heading): &(usize, Heading)| {
+        command.velocity(*heading, &step.after) - step.command[*index]
+    };
+    let squares = components.iter().map(error).map(|error| error * error).sum::<f32>();
+    libm::expf(-squares / (sigma * sigma))
 }
 
 fn sum_of_squares(numbers: &[f32]) -> f32 {
@@ -102,6 +124,9 @@ impl Term {
             Self::Upright { root } => upright(&step.after, *root),
             Self::InRange { coordinate, range } => in_range(step, *coordinate, *range),
             Self::ActionRate => action_rate(step),
+            Self::VelocityTracking { command, components, sigma } => {
+                velocity_tracking(step, command, components, *sigma)
+            }
         }
     }
 }
@@ -112,11 +137,16 @@ pub(super) struct WeightedSum(Vec<(f32, Term)>);
 
 impl WeightedSum {
     /// Resolves the rows of the list `key`.
-    pub(super) fn new(key: &str, rows: &[TermRow], robot: &Robot) -> Result<Self, SimError> {
+    pub(super) fn new(
+        key: &str,
+        rows: &[TermRow],
+        robot: &Robot,
+        command: &CommandRanges,
+    ) -> Result<Self, SimError> {
         let resolve = |row: &TermRow| {
             let place = format!("{key}.{}", row.term.word());
             if row.weight.is_finite() {
-                Ok((row.weight, term(&place, row, robot)?))
+                Ok((row.weight, term(&place, row, robot, command)?))
             } else {
                 Err(refused(format!("{place}.weight must be finite, is {}", row.weight)))
             }
@@ -146,31 +176,40 @@ impl TermName {
             Self::Upright => "upright",
             Self::InRange => "in_range",
             Self::ActionRate => "action_rate",
+            Self::VelocityTracking => "velocity_tracking",
         }
     }
 
-    /// Whether the term has the keys `coordinate`, `range` and `target`.
-    fn keys(self) -> [bool; 3] {
-        [
-            matches!(self, Self::ForwardSpeed | Self::InRange),
-            self == Self::InRange,
-            self == Self::TargetDistance,
-        ]
+    /// Keys of the term besides `weight`.
+    fn keys(self) -> &'static [&'static str] {
+        match self {
+            Self::ForwardSpeed => &["coordinate"],
+            Self::InRange => &["coordinate", "range"],
+            Self::TargetDistance => &["target"],
+            Self::VelocityTracking => &["components", "sigma"],
+            Self::Alive | Self::Control | Self::Upright | Self::ActionRate => &[],
+        }
     }
 }
 
 /// Resolves a row's names and refuses keys that its term does not have.
-fn term(place: &str, row: &TermRow, robot: &Robot) -> Result<Term, SimError> {
+fn term(
+    place: &str,
+    row: &TermRow,
+    robot: &Robot,
+    command: &CommandRanges,
+) -> Result<Term, SimError> {
     let names = Names::coordinates(robot);
     let given = [
         ("coordinate", row.coordinate.is_some()),
         ("range", row.range.is_some()),
         ("target", row.target.is_some()),
+        ("components", row.components.is_some()),
+        ("sigma", row.sigma.is_some()),
     ];
-    for ((key, given), has) in given.into_iter().zip(row.term.keys()) {
-        if given && !has {
-            return Err(refused(format!("{place} has no key `{key}`")));
-        }
+    let unknown = given.iter().find(|(key, given)| *given && !row.term.keys().contains(key));
+    if let Some((key, _)) = unknown {
+        return Err(refused(format!("{place} has no key `{key}`")));
     }
     let missing = |key: &str| refused(format!("{place} needs the key `{key}`"));
     let coordinate = row.coordinate.as_ref().map(|name| names.index(place, name)).transpose()?;
@@ -188,7 +227,32 @@ fn term(place: &str, row: &TermRow, robot: &Robot) -> Result<Term, SimError> {
             range: ascending(place, row.range.ok_or_else(|| missing("range"))?)?,
         },
         TermName::ActionRate => Term::ActionRate,
+        TermName::VelocityTracking => {
+            let sigma = row.sigma.ok_or_else(|| missing("sigma"))?;
+            within(&format!("{place}.sigma"), sigma, 1e-3, 1e3)?;
+            let components = followed(place, row.components.as_deref(), command)?;
+            Term::VelocityTracking { command: command.clone(), components, sigma }
+        }
     })
+}
+
+/// Components of the command that a term follows, with their indices in it: the stated ones, or else all speeds in m/s.
+fn followed(
+    place: &str,
+    stated: Option<&[Heading]>,
+    command: &CommandRanges,
+) -> Result<Vec<(usize, Heading)>, SimError> {
+    let speeds = command.headings().filter(|heading| *heading != Heading::Yaw);
+    let followed = stated.map_or_else(|| speeds.collect(), <[Heading]>::to_vec);
+    if followed.is_empty() {
+        let why = "follows nothing: state a range in [command], and `components` for yaw";
+        return Err(refused(format!("{place} {why}")));
+    }
+    let resolve = |heading: Heading| {
+        let why = || refused(format!("{place}: [command] has no range `{}`", heading.word()));
+        Ok((command.index(heading).ok_or_else(why)?, heading))
+    };
+    followed.into_iter().map(resolve).collect()
 }
 
 fn resolved_target(

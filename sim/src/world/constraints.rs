@@ -77,6 +77,11 @@ impl Constraints {
         self.normal_impulse as f32
     }
 
+    /// Sets the friction of all contacts to this multiple of the model's.
+    pub(crate) fn set_friction(&mut self, factor: f32) {
+        self.touching.friction = f64::from(factor);
+    }
+
     /// Notes the motion at the start of a step.
     pub(crate) fn observe(
         &mut self,

@@ -6,7 +6,7 @@
 
 use rapier3d::dynamics::Multibody;
 
-use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Spring};
+use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Robot, Spring};
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian. The engine
 /// also damps the hinge with this stiffness times the duration of the step.
@@ -24,6 +24,8 @@ pub(crate) struct HingeDrives {
     step_secs: f32,
     /// Motors with their controls, in the order of [`Blueprint::motors`].
     motors: Vec<(MotorPlan, f32)>,
+    /// Damping of the hinges, N m s / rad, in the order of [`Layout::hinges`].
+    dampings: Vec<f32>,
     /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
 }
@@ -69,7 +71,20 @@ impl HingeDrives {
             },
             step_secs,
             motors: blueprint.motors.iter().map(|motor| (motor.clone(), 0.0)).collect(),
+            dampings: layout.hinges.iter().map(|hinge| hinge.plan.damping).collect(),
             drives: vec![Drive::default(); layout.hinges.len()],
+        }
+    }
+
+    /// Sets the torques of the motors and the dampings of the hinges to these multiples of the model's.
+    pub(crate) fn vary(&mut self, robot: &Robot, strengths: &[f32], dampings: &[f32]) {
+        let plans = &robot.blueprint().motors;
+        for (((motor, _), plan), strength) in self.motors.iter_mut().zip(plans).zip(strengths) {
+            *motor = plan.strengthened(*strength);
+        }
+        let hinges = &robot.layout().hinges;
+        for ((damping, hinge), factor) in self.dampings.iter_mut().zip(hinges).zip(dampings) {
+            *damping = factor * hinge.plan.damping;
         }
     }
 
@@ -108,7 +123,7 @@ impl HingeDrives {
             let explicit = drive.torque + drive.damping * speed;
             let torque = explicit + spring + limit.armature * limit.reference;
             robot.armature_mut()[hinge.dof] = hinge.plan.armature + limit.armature;
-            robot.damping_mut()[hinge.dof] = hinge.plan.damping + drive.damping;
+            robot.damping_mut()[hinge.dof] = self.dampings[index] + drive.damping;
             let link = robot.link_mut(hinge.link).expect("the layout is this robot's");
             let rest = at + hinge.plan.axis.sign * torque / self.weak_spring;
             link.joint.set_spring(hinge.axis, self.weak_spring, rest);

@@ -2,6 +2,7 @@
 //! models.
 
 mod accepted;
+mod conditions;
 mod contacts;
 mod loaded;
 mod one_document;

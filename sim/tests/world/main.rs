@@ -6,6 +6,7 @@ mod bounds;
 mod fidelity;
 mod hostile;
 mod observations;
+mod pushed;
 mod rebuild;
 mod robots;
 mod views;

@@ -15,6 +15,8 @@ pub(super) struct Touching {
     shapes: Vec<TouchShape>,
     /// For each contact, its first row and the number of rows whose forces add up to the normal force.
     normals: Vec<(usize, usize)>,
+    /// Factor of the model's friction.
+    pub(super) friction: f64,
 }
 
 /// A shape in contacts.
@@ -79,7 +81,7 @@ impl Touching {
                 GroundForm::Solid(_) => TouchForm::Other,
             },
         });
-        Self { shapes: moving.chain(fixed).collect(), normals: Vec::new() }
+        Self { shapes: moving.chain(fixed).collect(), normals: Vec::new(), friction: 1.0 }
     }
 
     /// Whether two shapes can touch.
@@ -119,6 +121,7 @@ impl Touching {
         let shapes = tags.map(|tag| &self.shapes[tag.shape]);
         let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return };
         let plan = one.contact(&other, &blueprint.contacts.stated, blueprint.timestep_secs);
+        let plan = plan.with_friction(self.friction);
         let links = shapes.map(|shape| shape.link.map(|link| &start.links[link]));
         let inverse = [0, 1].map(|k| shapes[0].inverse[k] + shapes[1].inverse[k]);
         let poses = [0, 1].map(|k| pose_at_start(colliders[k], links[k]));

@@ -1,0 +1,264 @@
+//! Disturbances of an episode: the ranges that `[disturbance]` of a task file states, and their draws.
+//!
+//! Every draw is a function of the episode's key, the purpose of the draw and, for noise and pushes, the step
+//! ([`crate::noise::generator`]). A state therefore contains the key instead of what was drawn, and an episode that is
+//! restored in the middle continues with the same draws in any process. What is not stated is not drawn, and the start
+//! state of an episode is the same with and without disturbances.
+
+mod push;
+mod row;
+
+use proto::{FeatureRole, FeatureSpec};
+use rapier3d::math::Vector;
+
+use super::definition::refused;
+use super::names::Names;
+use crate::error::SimError;
+use crate::noise::{self, DrawPurpose, generator};
+use crate::robot::{JointPlan, LinkPlan, Robot};
+use crate::state::EpisodeDraws;
+use crate::world::EpisodeConditions;
+use push::Push;
+pub(crate) use row::DisturbanceRow;
+pub(super) use row::ascending;
+use row::{PayloadRow, SensorRow};
+
+/// Largest number of pushes, and of payloads.
+const MOST_ROWS: usize = 100;
+
+/// The disturbances of a task, with names resolved to indices.
+#[derive(Clone, Debug)]
+pub(crate) struct DisturbanceRanges {
+    row: DisturbanceRow,
+    pushes: Vec<Push>,
+    /// Links of the payloads.
+    loaded: Vec<usize>,
+    motors: Vec<String>,
+    hinges: Vec<String>,
+    /// Names of the measured coordinates, then of the velocities; the second number is that of the coordinates.
+    measured: (Vec<String>, usize),
+}
+
+/// What an episode has drawn.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct DrawnEpisode {
+    pub(crate) conditions: EpisodeConditions,
+    /// Target velocity, `[C]`.
+    pub(crate) command: Vec<f32>,
+    /// Steps.
+    pub(crate) action_delay: u32,
+    /// Steps.
+    pub(crate) observation_delay: u32,
+    /// Bias of each measurement, `[M]`.
+    pub(crate) bias: Vec<f32>,
+    /// Link and force (N) of each push in the step that starts now.
+    pub(crate) forces: Vec<(usize, Vector)>,
+}
+
+impl DisturbanceRanges {
+    /// Resolves a row. `features` are the measured ones: coordinates, then velocities.
+    pub(super) fn new(
+        row: &DisturbanceRow,
+        robot: &Robot,
+        features: &[FeatureSpec],
+    ) -> Result<Self, SimError> {
+        row.check()?;
+        let loaded = links("payload", row.payload.iter().map(|payload| &payload.link), robot)?;
+        let pushed = links("push", row.push.iter().map(|push| &push.link), robot)?;
+        let pushes = row.push.iter().zip(pushed);
+        let names = features.iter().map(|feature| feature.name.clone()).collect();
+        let coordinates = features.len() - robot.velocity_names().len();
+        Ok(Self {
+            row: row.clone(),
+            pushes: pushes
+                .map(|(row, link)| Push::new(row, link, robot))
+                .collect::<Result<_, _>>()?,
+            loaded,
+            motors: robot.actuators().map(|motor| motor.name.to_owned()).collect(),
+            hinges: robot.hinges().map(|(name, _)| name.to_owned()).collect(),
+            measured: (names, coordinates),
+        })
+    }
+
+    /// Whether the task states a disturbance.
+    pub(crate) fn are_stated(&self) -> bool {
+        !self.row.lines().is_empty()
+    }
+
+    /// Whether the evaluations of a training are disturbed.
+    pub(crate) fn are_in_evaluations(&self) -> bool {
+        self.row.in_evaluations
+    }
+
+    /// Longest delays of actions and observations, steps.
+    pub(crate) fn longest_delays(&self) -> [u32; 2] {
+        [self.row.action_delay, self.row.observation_delay]
+            .map(|range| range.map_or(0, |[_, high]| high))
+    }
+
+    /// Whether what agents observe can differ from the state.
+    pub(crate) fn change_sensors(&self) -> bool {
+        let errors = [self.row.sensor_noise, self.row.sensor_bias];
+        errors.iter().any(SensorRow::is_stated) || self.longest_delays()[1] > 0
+    }
+
+    /// Draws an episode; without disturbances, the values that change nothing.
+    pub(super) fn draw(&self, draws: &EpisodeDraws) -> DrawnEpisode {
+        let nothing = DisturbanceRow::default();
+        let row = if draws.is_disturbed { &self.row } else { &nothing };
+        let rng = |purpose| generator(draws.key, purpose, 0);
+        let factors = |range: Option<[f32; 2]>, purpose, count| {
+            let (range, mut rng) = (range.unwrap_or([1.0; 2]), rng(purpose));
+            (0..count).map(|_| noise::within(&mut rng, range)).collect::<Vec<_>>()
+        };
+        let delay = |range: Option<[u32; 2]>, purpose| {
+            noise::whole(&mut rng(purpose), range.unwrap_or([0; 2]))
+        };
+        let mut payloads = rng(DrawPurpose::Payload);
+        let mut mass = |row: &PayloadRow| noise::within(&mut payloads, row.mass);
+        let (names, coordinates) = &self.measured;
+        let mut bias = vec![0.0; names.len()];
+        row.sensor_bias.add(&mut rng(DrawPurpose::SensorBias), &mut bias, *coordinates);
+        DrawnEpisode {
+            conditions: EpisodeConditions {
+                friction: factors(row.friction, DrawPurpose::Friction, 1)[0],
+                payloads: self
+                    .loaded
+                    .iter()
+                    .copied()
+                    .zip(row.payload.iter().map(&mut mass))
+                    .collect(),
+                motor_strengths: factors(
+                    row.motor_strength,
+                    DrawPurpose::MotorStrength,
+                    self.motors.len(),
+                ),
+                joint_dampings: factors(
+                    row.joint_damping,
+                    DrawPurpose::JointDamping,
+                    self.hinges.len(),
+                ),
+            },
+            command: Vec::new(),
+            action_delay: delay(row.action_delay, DrawPurpose::ActionDelay),
+            observation_delay: delay(row.observation_delay, DrawPurpose::ObservationDelay),
+            bias,
+            forces: self.pushes.iter().map(|push| (push.link, Vector::ZERO)).collect(),
+        }
+    }
+
+    /// Sets the forces of the step that starts now, the step `step` of the episode.
+    pub(crate) fn draw_forces(&self, draws: &EpisodeDraws, step: u32, drawn: &mut DrawnEpisode) {
+        if !draws.is_disturbed {
+            return;
+        }
+        for ((number, push), (_, force)) in (0..).zip(&self.pushes).zip(&mut drawn.forces) {
+            *force = push.force(draws.key, number, step);
+        }
+    }
+
+    /// Adds bias and noise of the step `step` to the measurements `[M]`.
+    pub(crate) fn measure(&self, draws: &EpisodeDraws, step: u32, bias: &[f32], out: &mut [f32]) {
+        if !draws.is_disturbed {
+            return;
+        }
+        out.iter_mut().zip(bias).for_each(|(number, bias)| *number += bias);
+        let mut rng = generator(draws.key, DrawPurpose::SensorNoise, step);
+        self.row.sensor_noise.add(&mut rng, out, self.measured.1);
+    }
+
+    /// Features that describe what was drawn.
+    pub(super) fn features(&self) -> Vec<FeatureSpec> {
+        let mut names = Vec::new();
+        self.describe(&DrawnEpisode::default(), |name, _| names.push(name()));
+        let signal =
+            |name| FeatureSpec { name: format!("disturbance.{name}"), role: FeatureRole::Signal };
+        names.into_iter().map(signal).collect()
+    }
+
+    /// Writes the values of [`Self::features`], unless `out` is empty.
+    pub(super) fn write(&self, drawn: &DrawnEpisode, out: &mut [f32]) {
+        if out.is_empty() {
+            return;
+        }
+        let mut places = out.iter_mut();
+        self.describe(drawn, |_, value| {
+            if let Some(place) = places.next() {
+                *place = value;
+            }
+        });
+    }
+
+    /// What the task states, one line each.
+    pub(super) fn lines(&self) -> Vec<String> {
+        self.row.lines()
+    }
+
+    /// Calls `each` with name and value of everything that the task states; values that are not drawn yet are 0.
+    fn describe(&self, drawn: &DrawnEpisode, mut each: impl FnMut(&dyn Fn() -> String, f32)) {
+        let (row, conditions) = (&self.row, &drawn.conditions);
+        let at = |values: &[f32], index: usize| values.get(index).copied().unwrap_or(0.0);
+        if row.friction.is_some() {
+            each(&|| "friction".to_owned(), conditions.friction);
+        }
+        for (index, payload) in row.payload.iter().enumerate() {
+            let mass = conditions.payloads.get(index).map_or(0.0, |(_, mass)| *mass);
+            each(&|| format!("payload.{}", payload.link), mass);
+        }
+        for (index, motor) in
+            self.motors.iter().enumerate().filter(|_| row.motor_strength.is_some())
+        {
+            each(&|| format!("motor_strength.{motor}"), at(&conditions.motor_strengths, index));
+        }
+        for (index, hinge) in self.hinges.iter().enumerate().filter(|_| row.joint_damping.is_some())
+        {
+            each(&|| format!("joint_damping.{hinge}"), at(&conditions.joint_dampings, index));
+        }
+        if row.action_delay.is_some() {
+            each(&|| "action_delay".to_owned(), drawn.action_delay as f32);
+        }
+        if row.observation_delay.is_some() {
+            each(&|| "observation_delay".to_owned(), drawn.observation_delay as f32);
+        }
+        for index in row.sensor_bias.stated(self.measured.0.len(), self.measured.1) {
+            each(&|| format!("sensor_bias.{}", self.measured.0[index]), at(&drawn.bias, index));
+        }
+        for (index, push) in row.push.iter().enumerate() {
+            let force = drawn.forces.get(index).map_or([0.0; 3], |(_, force)| force.to_array());
+            for (axis, force) in ["x", "y", "z"].iter().zip(force) {
+                each(&|| format!("push.{}.{axis}", push.link), force);
+            }
+        }
+    }
+}
+
+/// Indices of the links that the rows of `disturbance.KEY` name.
+fn links<'a>(
+    key: &str,
+    names: impl ExactSizeIterator<Item = &'a String>,
+    robot: &Robot,
+) -> Result<Vec<usize>, SimError> {
+    let place = format!("disturbance.{key}");
+    if names.len() > MOST_ROWS {
+        return Err(refused(format!(
+            "{place} has {} rows; at most {MOST_ROWS} are allowed",
+            names.len()
+        )));
+    }
+    let plans = &robot.blueprint().links;
+    let can_move =
+        |link: &&LinkPlan| link.mass.mass() > 0.0 && !matches!(link.joint, JointPlan::Fixed);
+    let known: Vec<String> = plans.iter().filter(can_move).map(|link| link.name.clone()).collect();
+    let mut found = Vec::new();
+    for name in names {
+        Names::new("link with a mass that can move", &known)
+            .index(&format!("{place}.link"), name)?;
+        let link = plans.iter().position(|link| link.name == *name);
+        let link = link.expect("the link is one of the known ones");
+        if found.contains(&link) {
+            return Err(refused(format!("{place}: the link `{name}` is named twice")));
+        }
+        found.push(link);
+    }
+    Ok(found)
+}

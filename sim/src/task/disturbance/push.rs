@@ -1,0 +1,76 @@
+//! Pushes: forces on a link at drawn times.
+
+use rapier3d::math::Vector;
+
+use super::super::definition::refused;
+use super::row::{PushRow, WorldAxis};
+use crate::error::SimError;
+use crate::noise::{self, DrawPurpose, generator};
+use crate::robot::{JointPlan, Robot};
+
+/// Bits of a push's window in the index of its draw: above the longest episode, 1,000,000 steps.
+const WINDOW_BITS: u32 = 20;
+
+/// A push of a task.
+#[derive(Clone, Debug)]
+pub(super) struct Push {
+    pub(super) link: usize,
+    /// N.
+    force: [f32; 2],
+    /// Duration, steps.
+    steps: u32,
+    /// Length of a window, steps.
+    period: u32,
+    axes: Vec<WorldAxis>,
+}
+
+impl Push {
+    /// Resolves a row.
+    pub(super) fn new(row: &PushRow, link: usize, robot: &Robot) -> Result<Self, SimError> {
+        let place = format!("disturbance.push ({})", row.link);
+        let steps = |secs: f32| (f64::from(secs) / robot.step_secs()).round().max(1.0) as u32;
+        let is_planar = matches!(robot.blueprint().links[0].joint, JointPlan::Planar(_));
+        let axes = row.axes.clone().unwrap_or_else(|| match is_planar {
+            true => vec![WorldAxis::X],
+            false => vec![WorldAxis::X, WorldAxis::Y],
+        });
+        if axes.is_empty() {
+            return Err(refused(format!(
+                "{place}.axes is empty; write, for example, [\"x\", \"y\"]"
+            )));
+        }
+        let push = Self {
+            link,
+            force: row.force,
+            steps: steps(row.duration_secs),
+            period: steps(row.period_secs),
+            axes,
+        };
+        if push.steps > push.period {
+            return Err(refused(format!(
+                "{place}: duration_secs {} must not exceed period_secs {}",
+                row.duration_secs, row.period_secs
+            )));
+        }
+        Ok(push)
+    }
+
+    /// Force in the step `step` of an episode, N. Each window of `period` steps has one push, which lies in it.
+    pub(super) fn force(&self, key: [u8; 32], number: u32, step: u32) -> Vector {
+        let (window, offset) = (step / self.period, step % self.period);
+        let mut rng = generator(key, DrawPurpose::Push, (number << WINDOW_BITS) | window);
+        let first = noise::whole(&mut rng, [0, self.period - self.steps]);
+        if !(first..first + self.steps).contains(&offset) {
+            return Vector::ZERO;
+        }
+        let size = noise::within(&mut rng, self.force);
+        let mut direction = Vector::ZERO;
+        for axis in &self.axes {
+            direction[*axis as usize] = noise::normal(&mut rng);
+        }
+        match direction.length() {
+            0.0 => direction,
+            length => direction * (size / length),
+        }
+    }
+}

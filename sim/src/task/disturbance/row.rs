@@ -1,0 +1,196 @@
+//! `[disturbance]` of a task file.
+
+use rand::RngCore;
+use serde::Deserialize;
+
+use super::super::definition::{Noise, refused, within};
+use crate::error::SimError;
+
+/// Largest delay, steps. A state has an action or a measurement for each.
+const LONGEST_DELAY: u32 = 20;
+
+/// `[disturbance]` of a task file. A range is `[low, high]`; equal ends state a constant.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct DisturbanceRow {
+    /// Forces on links.
+    pub(super) push: Vec<PushRow>,
+    /// Masses on links, drawn per episode.
+    pub(super) payload: Vec<PayloadRow>,
+    /// Factor of the friction of all contacts, drawn per episode.
+    pub(super) friction: Option<[f32; 2]>,
+    /// Factor of the torque of each motor, drawn per motor and episode.
+    pub(super) motor_strength: Option<[f32; 2]>,
+    /// Factor of the damping of each joint, drawn per joint and episode.
+    pub(super) joint_damping: Option<[f32; 2]>,
+    /// Steps between an action and its effect, drawn per episode.
+    pub(super) action_delay: Option<[u32; 2]>,
+    /// Steps between a measurement and its observation, drawn per episode.
+    pub(super) observation_delay: Option<[u32; 2]>,
+    /// Error of each measurement, drawn in every step.
+    pub(super) sensor_noise: SensorRow,
+    /// Error of each measurement, drawn per episode.
+    pub(super) sensor_bias: SensorRow,
+    /// Whether the evaluations of a training are disturbed, too.
+    pub(super) in_evaluations: bool,
+}
+
+/// A force on the mass centre of a link. Each window of `period_secs` has one push, at a time that is drawn uniformly.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PushRow {
+    pub(super) link: String,
+    /// Range of its size, N.
+    pub(super) force: [f32; 2],
+    pub(super) duration_secs: f32,
+    /// Mean time between pushes, s.
+    pub(super) period_secs: f32,
+    /// World axes that span the directions, which are uniformly distributed. Default: x for a robot in a vertical plane, x and y for others.
+    pub(super) axes: Option<Vec<WorldAxis>>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum WorldAxis {
+    X,
+    Y,
+    Z,
+}
+
+/// A point mass at the mass centre of a link.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PayloadRow {
+    pub(super) link: String,
+    /// kg.
+    pub(super) mass: [f32; 2],
+}
+
+/// Errors of the measured coordinates (m or rad) and velocities (m/s or rad/s).
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct SensorRow {
+    pub(super) positions: Option<Noise>,
+    pub(super) velocities: Option<Noise>,
+}
+
+impl DisturbanceRow {
+    /// Checks all ranges.
+    pub(super) fn check(&self) -> Result<(), SimError> {
+        let given = |key: &str, range: Option<[f32; 2]>, most| {
+            range.map_or(Ok(()), |range| {
+                ascending(&format!("disturbance.{key}"), range, [0.0, most])
+            })
+        };
+        given("friction", self.friction, 10.0)?;
+        given("motor_strength", self.motor_strength, 10.0)?;
+        given("joint_damping", self.joint_damping, 100.0)?;
+        for push in &self.push {
+            let place = format!("push ({})", push.link);
+            given(&format!("{place}.force"), Some(push.force), 1e6)?;
+            within(&format!("disturbance.{place}.duration_secs"), push.duration_secs, 1e-6, 1e4)?;
+            within(&format!("disturbance.{place}.period_secs"), push.period_secs, 1e-6, 1e4)?;
+        }
+        for payload in &self.payload {
+            given(&format!("payload ({}).mass", payload.link), Some(payload.mass), 1e4)?;
+        }
+        for (key, range) in
+            [("action_delay", self.action_delay), ("observation_delay", self.observation_delay)]
+        {
+            if let Some([low, high]) =
+                range.filter(|[low, high]| low > high || *high > LONGEST_DELAY)
+            {
+                return Err(refused(format!(
+                    "disturbance.{key} must be [low, high] in 0..={LONGEST_DELAY} steps, is [{low}, {high}]"
+                )));
+            }
+        }
+        for (key, sensors) in
+            [("sensor_noise", self.sensor_noise), ("sensor_bias", self.sensor_bias)]
+        {
+            for (of, noise) in
+                [("positions", sensors.positions), ("velocities", sensors.velocities)]
+            {
+                let size = noise.map_or(0.0, Noise::size);
+                within(&format!("disturbance.{key}.{of}"), size, 0.0, 1e3)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What the task states, one line each.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let factor = |name: &str, of: &str, range: Option<[f32; 2]>| {
+            range.map(|[low, high]| format!("{name}: {low} to {high} times {of}, in each episode"))
+        };
+        let delay = |name: &str, range: Option<[u32; 2]>| {
+            range.map(|[low, high]| format!("{name}: {low} to {high} steps, in each episode"))
+        };
+        let push =
+            |PushRow { link, force: [low, high], duration_secs, period_secs, .. }: &PushRow| {
+                format!(
+                    "push of {link}: {low} to {high} N for {duration_secs} s, once in {period_secs} s"
+                )
+            };
+        let payload = |PayloadRow { link, mass: [low, high] }: &PayloadRow| {
+            format!("payload on {link}: {low} to {high} kg, in each episode")
+        };
+        let single = [
+            factor("friction", "the model's", self.friction),
+            factor("motor strength", "the model's, for each motor", self.motor_strength),
+            factor("joint damping", "the model's, for each joint", self.joint_damping),
+            delay("delay of actions", self.action_delay),
+            delay("delay of observations", self.observation_delay),
+        ];
+        let mut lines: Vec<String> = self.push.iter().map(push).collect();
+        lines.extend(self.payload.iter().map(payload));
+        lines.extend(single.into_iter().flatten());
+        lines.extend(self.sensor_noise.lines("sensor noise", "in each step"));
+        lines.extend(self.sensor_bias.lines("sensor bias", "in each episode"));
+        lines
+    }
+}
+
+impl SensorRow {
+    pub(super) fn is_stated(&self) -> bool {
+        self.positions.is_some() || self.velocities.is_some()
+    }
+
+    /// Indices of the measurements that it changes.
+    pub(super) fn stated(&self, count: usize, coordinates: usize) -> impl Iterator<Item = usize> {
+        let positions = self.positions.is_some();
+        let velocities = self.velocities.is_some();
+        (0..count).filter(move |index| if *index < coordinates { positions } else { velocities })
+    }
+
+    /// Adds a draw to each of the measurements, of which the first ones are `coordinates`.
+    pub(super) fn add(&self, rng: &mut impl RngCore, out: &mut [f32], coordinates: usize) {
+        let (positions, velocities) = out.split_at_mut(coordinates);
+        for (distribution, numbers) in [(self.positions, positions), (self.velocities, velocities)]
+        {
+            if let Some(distribution) = distribution {
+                numbers.iter_mut().for_each(|number| *number += distribution.draw(rng));
+            }
+        }
+    }
+
+    fn lines(&self, name: &str, when: &str) -> impl Iterator<Item = String> {
+        let rows = [("coordinates", self.positions), ("velocities", self.velocities)];
+        rows.map(|(of, noise)| noise.map(|noise| format!("{name} of {of}: {noise}, {when}")))
+            .into_iter()
+            .flatten()
+    }
+}
+
+/// Refuses a range that does not ascend or leaves `bounds`.
+pub(in super::super) fn ascending(
+    key: &str,
+    range: [f32; 2],
+    bounds: [f32; 2],
+) -> Result<(), SimError> {
+    let ([low, high], [least, most]) = (range, bounds);
+    if low <= high && least <= low && high <= most {
+        return Ok(());
+    }
+    Err(refused(format!("{key} must be [low, high] in {least}..={most}, is [{low}, {high}]")))
+}

@@ -1,0 +1,60 @@
+//! Physical parameters of an episode that differ from those of the model, and forces from outside.
+
+use rapier3d::math::Vector;
+
+use super::{Enforcer, World};
+
+/// Physical parameters of an episode, relative to the model's. The softness of contacts and limits, which depends on the
+/// masses of the rest pose, stays that of the model.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct EpisodeConditions {
+    /// Factor of the friction of all contacts.
+    pub(crate) friction: f32,
+    /// Links and the masses added at their mass centres, kg.
+    pub(crate) payloads: Vec<(usize, f32)>,
+    /// Factor of the torque of each motor, in the order of the blueprint, `[A]`.
+    pub(crate) motor_strengths: Vec<f32>,
+    /// Factor of the damping of each hinge, in the order of the layout.
+    pub(crate) joint_dampings: Vec<f32>,
+}
+
+impl World {
+    /// Sets the conditions from the next rebuild on.
+    pub(crate) fn set_conditions(&mut self, conditions: EpisodeConditions) {
+        self.conditions = Some(conditions);
+    }
+
+    /// Sets the forces on the mass centres of these links, N, until the next call or rebuild. A body whose force stays the
+    /// same is not touched: after access to a body the engine's results differ in their last bits.
+    pub(crate) fn push(&mut self, forces: &[(usize, Vector)]) {
+        for (link, force) in forces {
+            let handle = self.robot.layout().joints[*link].body;
+            if self.physics.bodies[handle].user_force() != *force {
+                let body = &mut self.physics.bodies[handle];
+                body.reset_forces(true);
+                body.add_force(*force, true);
+            }
+        }
+    }
+
+    /// Changes the copy of the template. The engine sums masses of bodies and colliders; those of colliders are 0.
+    pub(super) fn apply_conditions(&mut self) {
+        let Some(conditions) = &self.conditions else { return };
+        match &mut self.enforcer {
+            Enforcer::Constraints(constraints) => constraints.set_friction(conditions.friction),
+            Enforcer::Engine(_) => {
+                for (_, collider) in self.physics.colliders.iter_mut() {
+                    collider.set_friction(collider.friction() * conditions.friction);
+                }
+            }
+        }
+        for (link, added) in conditions.payloads.iter().filter(|(_, added)| *added > 0.0) {
+            let mut mass = self.robot.blueprint().links[*link].mass;
+            mass.inv_mass = 1.0 / (mass.mass() + added);
+            let body = &mut self.physics.bodies[self.robot.layout().joints[*link].body];
+            body.set_additional_mass_properties(mass, true);
+            body.recompute_mass_properties_from_colliders(&self.physics.colliders);
+        }
+        self.drives.vary(&self.robot, &conditions.motor_strengths, &conditions.joint_dampings);
+    }
+}
