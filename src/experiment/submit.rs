@@ -232,11 +232,13 @@ mod tests {
     }
 
     #[test]
-    fn a_word_with_a_line_break_or_a_space_is_refused() {
+    fn a_word_with_a_line_break_or_a_space_and_a_path_with_a_line_break_are_refused() {
         assert_eq!(word("--time", "1-12:00:00").unwrap(), "1-12:00:00");
         for value in ["", "a b", "a\n#SBATCH --uid=0"] {
             assert!(word("--time", value).unwrap_err().to_string().starts_with("--time "));
         }
+        let error = quoted("a\nb").unwrap_err().to_string();
+        assert!(error.contains(r#""a\nb""#), "{error}");
     }
 
     fn sample(path: &str) -> ExperimentFile {
@@ -266,11 +268,5 @@ mod tests {
         let text = slurm_script(&sample("a.toml"), &jobs, SlurmOptions::default()).unwrap();
         assert!(text.contains("#SBATCH --array=0-4\n"), "{text}");
         assert!(!text.contains("--time") && !text.contains("--partition"), "{text}");
-    }
-
-    #[test]
-    fn a_path_with_a_line_break_is_refused() {
-        let error = quoted("a\nb").unwrap_err().to_string();
-        assert!(error.contains(r#""a\nb""#), "{error}");
     }
 }

@@ -2,9 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::runs::{
-    Runs, command, failed, failure, refused, s2mia, status, succeeded, success, text,
-};
+use crate::runs::{Runs, command, failed, failure, refused, status, succeeded, success, text};
 
 #[test]
 fn invalid_arguments_give_one_line_and_status_two() {
@@ -94,21 +92,11 @@ fn a_run_without_a_checkpoint_is_reported_with_the_command_that_restarts_it() {
 
 #[test]
 fn the_tasks_are_listed_with_their_agents() {
-    let tasks: Value = serde_json::from_slice(&s2mia(&["tasks", "--json"]).stdout).unwrap();
-    let agents = |name: &str| {
-        let task = tasks.as_array().unwrap().iter().find(|t| t["task"] == name).unwrap();
-        task["agents"].as_array().unwrap().clone()
-    };
-    let six = agents("halfcheetah-6x1");
-    assert_eq!((six.len(), &six[0]["action"]["size"]), (6, &json!(1)));
-    let joints =
-        |name| agents(name).iter().map(|agent| agent["joints"].clone()).collect::<Vec<_>>();
-    let opposite = [
-        json!(["hip_1", "ankle_1", "hip_3", "ankle_3"]),
-        json!(["hip_2", "ankle_2", "hip_4", "ankle_4"]),
-    ];
-    assert_eq!(joints("ant-2x4d"), opposite);
-    assert_eq!(joints("ant-2x4")[0], json!(["hip_4", "ankle_4", "hip_1", "ankle_1"]));
+    let tasks: Value = serde_json::from_str(&succeeded(&["tasks", "--json"])).unwrap();
+    let six = tasks.as_array().unwrap().iter().find(|t| t["task"] == "halfcheetah-6x1").unwrap();
+    let agents = six["agents"].as_array().unwrap();
+    assert_eq!((agents.len(), &agents[0]["action"]["size"]), (6, &json!(1)));
+    assert_eq!(agents[0]["joints"].as_array().unwrap().len(), 1);
     let table = succeeded(&["tasks"]);
     assert!(table.contains("halfcheetah-2x3: 2 agents"), "{table}");
     assert!(table.contains("one choice among 3"), "{table}");

@@ -194,7 +194,8 @@ fn step(
     steps.to_wire()
 }
 
-fn look(game: &dyn EnvironmentBatch) -> View {
+/// What the agents of the first environment observe, and its state.
+pub(crate) fn look(game: &dyn EnvironmentBatch) -> View {
     let description = game.description();
     let agents = description.agents.iter().enumerate().map(|(agent, of)| {
         let mut row = vec![0.0; of.observation.len()];

@@ -9,7 +9,7 @@ use proto::wire::play_response::Answer;
 use serde_json::Value;
 use sim::{EnvironmentBatch as _, ObservationNorm};
 
-use crate::cue_service::{CueService, Faults};
+use crate::cue_service::{CueService, Faults, look};
 use crate::processes::{Background, Learner, children, has_begun, signal};
 use crate::runs::{
     Runs, error, inspect, json, refused, s2mia, succeeded, success, text, tiny, weights,
@@ -75,9 +75,7 @@ fn first_observation(url: &str, norm: ObservationNorm) -> Vec<f32> {
     let _entered = runtime.enter();
     let mut environments = service.environments(1);
     environments.reset(0, 0, 50, [0; 32]).unwrap();
-    let mut observation = vec![0.0; environments.description().agents[0].observation.len()];
-    environments.observation(0, 0, &mut observation);
-    observation
+    look(&environments).observations.remove(0)
 }
 
 #[test]

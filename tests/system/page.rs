@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::processes::{Background, Learner, actor, eventually, passes};
-use crate::runs::{Runs, command, error, metrics, status, succeeded, train, weights};
+use crate::runs::{Runs, command, failure, metrics, status, succeeded, train, weights};
 
 /// The learner of a long run with evaluations, and the address of its page.
 fn learner(folder: &Path) -> (Learner, Page) {
@@ -278,9 +278,7 @@ fn folders_that_are_no_runs_and_addresses_of_other_machines_are_refused_in_one_l
         (&[], "there is no run in ./runs"),
     ] {
         let mut page = command(&["page"]);
-        let output = page.args(arguments).current_dir(&folder).output().unwrap();
-        let error = error(&output);
-        assert_eq!(output.status.code(), Some(2), "{error}");
-        assert!(error.contains(reason) && error.lines().count() == 1, "{error}");
+        let line = failure(page.args(arguments).current_dir(&folder), 2);
+        assert!(line.contains(reason), "{line}");
     }
 }

@@ -15,6 +15,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status, Streaming};
 
+use crate::cue_service::look;
 use crate::processes::Background;
 use crate::runs::{Runs, command, inspect, refused, succeeded, text, train};
 
@@ -75,13 +76,7 @@ fn reset(world: &mut dyn EnvironmentBatch, episode: u32) {
 
 /// The agents' observations.
 fn observations(world: &dyn EnvironmentBatch) -> Vec<(usize, Vec<f32>)> {
-    let agents = world.description().agents.iter().enumerate();
-    let seen = agents.map(|(agent, description)| {
-        let mut row = vec![0.0; description.observation.len()];
-        world.observation(0, agent, &mut row);
-        (agent, row)
-    });
-    seen.collect()
+    look(world).observations.into_iter().enumerate().collect()
 }
 
 /// An open stream of actions.

@@ -13,10 +13,7 @@ const EXACT: [&str; 5] = ["kernels", "marl", "policy", "rollout", "sim"];
 /// A piece of code, the crates it must not stand in, and why.
 type Ban = (&'static str, &'static [&'static str], &'static str);
 
-const BANS: [Ban; 18] = [
-    ("unbounded_channel", &LIBRARIES, "a queue needs a bound"),
-    ("thread::spawn(", &LIBRARIES, "a thread needs a name: std::thread::Builder"),
-    ("Tensor::rand", &LIBRARIES, "draws come from policy::randomness"),
+const BANS: [Ban; 15] = [
     ("thread_rng", &LIBRARIES, "draws come from policy::randomness"),
     ("from_entropy", &LIBRARIES, "draws come from policy::randomness"),
     ("from_os_rng", &LIBRARIES, "draws come from policy::randomness"),
