@@ -22,7 +22,7 @@ thread_local! {
 
 fuzz_target!(|data: &[u8]| {
     // Too few bytes for a whole list of damages are no case.
-    let _judged = TWO.with(|two| two.endure(&mut Unstructured::new(data)));
+    let _checked = TWO.with(|two| two.check(&mut Unstructured::new(data)));
 });
 
 /// A run with two good checkpoints, and the newer one's files by name.
@@ -41,7 +41,7 @@ enum Damage<'a> {
     Gone,
 }
 
-/// Whether somebody made the manifest fit what they did.
+/// How far the manifest is changed to fit the damage.
 #[derive(Arbitrary, Debug, PartialEq, Eq)]
 enum Seal {
     Broken,
@@ -58,7 +58,7 @@ impl Two {
         Self { run, good }
     }
 
-    fn endure(&self, unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
+    fn check(&self, unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
         let mut files = self.good.clone();
         let seal = Seal::arbitrary(unstructured)?;
         for _ in 0..unstructured.int_in_range(1..=3)? {
@@ -70,7 +70,7 @@ impl Two {
             forge(&mut files, &seal);
         }
         self.write(&files);
-        self.judge(&files, &seal);
+        self.check_loaded(&files, &seal);
         Ok(())
     }
 
@@ -84,7 +84,7 @@ impl Two {
         }
     }
 
-    fn judge(&self, files: &BTreeMap<String, Vec<u8>>, seal: &Seal) {
+    fn check_loaded(&self, files: &BTreeMap<String, Vec<u8>>, seal: &Seal) {
         let newest = self.run.load();
         match newest.checkpoint.iteration {
             1 => {
@@ -98,7 +98,7 @@ impl Two {
                 assert_ne!(*seal, Seal::Broken, "a damaged checkpoint was loaded");
                 assert_eq!(newest.saved().state_sha256, newest.manifest.state_sha256);
             }
-            other => panic!("nobody wrote checkpoint {other}"),
+            other => panic!("checkpoint {other} was never written"),
         }
     }
 }

@@ -41,7 +41,7 @@ fn push(bytes: &[u8], run: &RunDescription) {
 fn registration(bytes: &[u8]) {
     let Ok(message) = wire::RegisterRequest::decode(bytes) else { return };
     let Ok(read) = Registration::from_wire(message) else { return };
-    let _judged = read.check(&sample::run());
+    let _checked = read.check(&sample::run());
 }
 
 fn lease_answer(bytes: &[u8], run: &RunDescription) {

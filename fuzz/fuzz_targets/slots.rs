@@ -1,5 +1,4 @@
-//! The slot table and actors who say whatever they like: what it holds stays bounded, and an honest actor still gets its
-//! work done.
+//! The slot table with arbitrary calls: what it holds stays bounded, and a correct actor can still complete an iteration.
 #![no_main]
 #![expect(dead_code, reason = "the table's tests call more of what they share with this")]
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a finding")]
@@ -27,7 +26,7 @@ fuzz_target!(|data: &[u8]| {
     let _ended = hostile_actors(&mut Unstructured::new(data));
 });
 
-/// A call of the table, as whoever reaches the service can cause it. Numbers choose among what there is.
+/// A call of the table that a peer can cause. Numbers select connections, actors and leases.
 #[derive(Arbitrary, Debug)]
 enum Call {
     Register { connection: u8, foreign: bool, process: Option<u8> },
@@ -52,7 +51,8 @@ enum Lie {
     Lease(u64),
 }
 
-struct Siege {
+/// The table and what hostile actors know of it.
+struct HostileActors {
     table: SlotTable,
     now: Duration,
     leases: Vec<Held>,
@@ -62,7 +62,7 @@ struct Siege {
 }
 
 fn hostile_actors(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> {
-    let mut siege = Siege {
+    let mut actors = HostileActors {
         table: table::table(SLOTS),
         now: Duration::ZERO,
         leases: Vec::new(),
@@ -71,20 +71,20 @@ fn hostile_actors(unstructured: &mut Unstructured<'_>) -> arbitrary::Result<()> 
         failed: false,
     };
     for _ in 0..MOST_EVENTS {
-        if unstructured.is_empty() || siege.failed {
+        if unstructured.is_empty() || actors.failed {
             break;
         }
         let call = Call::arbitrary(unstructured)?;
-        siege.suffer(call);
-        siege.take_effects();
-        siege.is_bounded();
+        actors.call(call);
+        actors.take_effects();
+        actors.is_bounded();
     }
-    siege.an_honest_actor_gets_its_work_done();
+    actors.a_correct_actor_completes_an_iteration();
     Ok(())
 }
 
-impl Siege {
-    fn suffer(&mut self, call: Call) {
+impl HostileActors {
+    fn call(&mut self, call: Call) {
         match call {
             Call::Register { connection, foreign, process } => {
                 let trust = if foreign { Trust::Foreign } else { Trust::Exact };
@@ -192,8 +192,8 @@ impl Siege {
         assert!(held.finished_leases <= 4096, "{held:?}");
     }
 
-    /// The siege is over: old leases have ended, and one actor on a connection of its own is left.
-    fn an_honest_actor_gets_its_work_done(&mut self) {
+    /// After old leases have ended, one correct actor on a separate connection completes an iteration.
+    fn a_correct_actor_completes_an_iteration(&mut self) {
         if self.failed {
             return;
         }

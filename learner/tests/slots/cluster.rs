@@ -308,11 +308,9 @@ impl Cluster {
         self.table.tick(self.now);
         self.ready = None;
         self.open();
-        if self.evaluated.len() as u64 != self.iteration && self.iteration > 0 {
-            let outstanding = self.evaluated.last().map_or(0, |last| last + 1);
-            if outstanding < self.iteration {
-                self.table.open_evaluation(outstanding, weights(), 1);
-            }
+        let outstanding = self.evaluated.len() as u64;
+        if outstanding < self.iteration {
+            self.table.open_evaluation(outstanding, weights(), 1);
         }
     }
 
