@@ -4,6 +4,7 @@ mod actuator;
 mod assemble;
 mod blueprint;
 mod convex;
+mod coupling;
 mod document;
 mod exploration;
 mod folder;
@@ -30,6 +31,7 @@ pub(crate) use blueprint::{
     Blueprint, Cone, GroundForm, JointPlan, Keyframe, Law, LinkPlan, MotorPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
+pub(crate) use coupling::{Combination, Coupled, EqualityPlan, TendonPlan};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;
@@ -77,13 +79,18 @@ pub struct Robot {
     template: Template,
 }
 
-/// Replaces a damping ratio by MuJoCo's damping, `2 ratio sqrt(kp m)`, where `m` is the joint's inertia with all other joints
-/// free.
+/// Replaces a damping ratio by MuJoCo's damping, `2 ratio sqrt(kp m)`, where `m` is the inertia of the joint or tendon with all
+/// other joints free.
 fn damp(motor: &mut MotorPlan, layout: &Layout) {
     let Some(servo) = &mut motor.servo else { return };
     let [_, stiffness, ratio] = servo.bias;
     if ratio > 0.0 && servo.gain == -stiffness && motor.gear != 0.0 {
-        let inertia = 1.0 / (layout.hinges[motor.hinge].inverse_inertia * motor.gear * motor.gear);
+        let inverse = match (motor.tendon, motor.moved.only_hinge()) {
+            (Some(tendon), _) => layout.tendon_inverses[tendon] as f32,
+            (None, Some(hinge)) => layout.hinges[hinge].inverse_inertia,
+            (None, None) => return,
+        };
+        let inertia = 1.0 / (inverse * motor.gear * motor.gear);
         servo.bias[2] = -2.0 * ratio * (servo.gain * inertia).sqrt();
     }
 }

@@ -280,9 +280,10 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     features.extend([rules.command_features(), rules.disturbance_features()].concat());
     let features: Vec<String> = features.into_iter().map(|feature| feature.name).collect();
     let state = Names::new("feature in its global state", &features);
-    let driven = robot.blueprint().motors.iter().map(|motor| ("agents", &motor.joint));
+    let driven = robot.actuators().flat_map(|actuator| actuator.moved);
+    let driven = driven.map(|joint| ("agents", joint));
     let near = robot.neighbourhood().edges.iter().flatten();
-    for (key, joint) in driven.chain(near.map(|joint| ("neighbourhood.edges", joint))) {
+    for (key, joint) in driven.chain(near.map(|joint| ("neighbourhood.edges", joint.as_str()))) {
         state.index(key, &format!("{joint}.position"))?;
     }
     for name in &robot.neighbourhood().globals {

@@ -265,7 +265,14 @@ fn joints(robot: &Robot) -> String {
         let motors = if motors.is_empty() { "no motor".to_owned() } else { motors.join("; ") };
         format!("joint {name:<16} {range}, {motors}")
     };
-    robot.hinges().zip(robot.hinge_units()).map(line).collect::<Vec<_>>().join("\n")
+    let joints = robot.hinges().zip(robot.hinge_units()).map(line);
+    let is_tendon =
+        |actuator: &Actuator<'_>| robot.hinges().all(|(name, _)| name != actuator.joint);
+    let tendons = robot.actuators().filter(is_tendon).map(|actuator| {
+        let (name, moved) = (actuator.joint, actuator.moved.join(", "));
+        format!("tendon {name:<15} moves {moved}, {}", motor(&actuator, "N"))
+    });
+    joints.chain(tendons).collect::<Vec<_>>().join("\n")
 }
 
 /// Kind, largest torque and control range of an actuator, and its name if that is not its joint's.

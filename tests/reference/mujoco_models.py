@@ -189,6 +189,25 @@ FLIGHT = """<mujoco>
   </worldbody>
 </mujoco>
 """
+# Two fingers on slides and a knuckle that they bend, without weight.
+FINGERS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001" gravity="0 0 0"/>
+  <default><geom contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <body pos="0 0.05 0"><joint name="l" type="slide" axis="0 1 0" damping="2"/><geom size=".02" mass=".1"/></body>
+    <body pos="0 -0.05 0"><joint name="r" type="slide" axis="0 -1 0" ref="0.3" damping="1"/>
+      <geom size=".02" mass=".2"/>
+      <body><joint name="bend" axis="1 0 0" damping="0.01"/><geom size=".02" pos="0 0 .1" mass=".05"/></body></body>
+  </worldbody>
+  <tendon><fixed name="split"{tendon}><joint joint="l" coef="0.5"/><joint joint="r" coef="-1.5"/></fixed>
+    <fixed name="other"><joint joint="bend" coef="0.2"/></fixed></tendon>
+  {sections}
+</mujoco>
+"""
+PULL = '<actuator><general tendon="split" gear="2" ctrlrange="-9 9"/></actuator>'
+HOLD = """<actuator><position tendon="split" kp="30" dampratio="0.8" gear="3" ctrlrange="-1 1"/></actuator>"""
+
 SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
 
 # Motions: a model, its velocities at the start, constant controls, and physics steps.
@@ -201,6 +220,25 @@ MOTIONS = {
         ARM.format(body=' gravcomp="0.5"', joint="", sections=""), [], [], 300),
     "limit with a margin": (
         ARM.format(body="", joint=' range="-1 0.2" margin="0.15"', sections=""), [], [], 2000),
+    "equal joints": (
+        FINGERS.format(tendon="", sections=PULL + '<equality><joint joint1="l" joint2="r"/></equality>'),
+        [], [0.6], 500),
+    "a polynomial of a joint": (
+        FINGERS.format(tendon="", sections=PULL + """<equality><joint joint1="bend" joint2="l"
+          polycoef="0.1 2 -3 4 5" solref="0.05 0.8" solimp="0.5 0.9 0.02 0.4 3"/></equality>"""),
+        [], [0.6], 500),
+    "a held joint": (
+        FINGERS.format(tendon="", sections=PULL + '<equality><joint joint1="r" polycoef="0.05"/></equality>'),
+        [], [0.6], 500),
+    "equal tendons": (
+        FINGERS.format(tendon="", sections=PULL + """<equality>
+          <tendon tendon1="split" tendon2="other" polycoef="0.01 0.5 0 0 0"/></equality>"""), [], [0.1], 500),
+    "a tendon with a spring and a limit": (
+        FINGERS.format(tendon=' stiffness="4" damping="0.5" springlength="-0.3" range="-0.6 -0.40" margin="0.01"',
+                       sections=PULL), [], [0.7], 500),
+    "a tendon with dry friction": (
+        FINGERS.format(tendon=' frictionloss="0.4"', sections=PULL), [], [0.6], 500),
+    "a servo of a tendon": (FINGERS.format(tendon="", sections=HOLD), [], [-0.9], 500),
     "two actuators": (
         ARM.format(body="", joint="", sections="""<actuator>
           <position joint="j1" kp="20" ctrlrange="-1 1"/><velocity joint="j1" kv="1" ctrlrange="-1 1"/>

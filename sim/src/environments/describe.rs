@@ -5,6 +5,7 @@ use proto::{ActionSpec, AgentSpec, EnvironmentSpec};
 use crate::action_scale::ActionScale;
 use crate::config::ObservationConfig;
 use crate::observation::{self, GlobalState, Observation, contact_features};
+use crate::robot::Actuator;
 use crate::state::{STATE_VERSION, StateBounds};
 use crate::task::{Audience, Task};
 
@@ -15,12 +16,12 @@ pub(super) fn describe(
 ) -> (EnvironmentSpec, Observation) {
     let robot = &task.robot;
     let state = global_state(task, config);
-    let joints: Vec<&str> = robot.actuators().map(|actuator| actuator.joint).collect();
-    let driven: Vec<Vec<&str>> = task
-        .agents
-        .iter()
-        .map(|motors| motors.iter().map(|&motor| joints[motor]).collect())
-        .collect();
+    let actuators: Vec<Actuator<'_>> = robot.actuators().collect();
+    let moved = |motors: &Vec<usize>| {
+        let joints = motors.iter().flat_map(|&motor| &actuators[motor].moved);
+        joints.copied().collect::<Vec<&str>>()
+    };
+    let driven: Vec<Vec<&str>> = task.agents.iter().map(moved).collect();
     let observation = Observation::new(config, robot, &driven, &state);
     let seen = |index: usize| match task.rules.disturbance().change_sensors() {
         true => Vec::new(),
@@ -28,7 +29,7 @@ pub(super) fn describe(
     };
     let agents = task.agents.iter().enumerate().map(|(index, motors)| AgentSpec {
         name: format!("agent_{index}"),
-        joints: motors.iter().map(|&motor| joints[motor].to_owned()).collect(),
+        joints: motors.iter().map(|&motor| actuators[motor].joint.to_owned()).collect(),
         observation: observation.features(index, &state.features),
         seen: seen(index),
         near: observation::near(config, robot, &driven[index], &state),

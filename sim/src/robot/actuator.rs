@@ -8,15 +8,17 @@ use super::blueprint::MotorPlan;
 pub struct Actuator<'a> {
     /// Name of the actuator; that of its joint, unless the model states one or the joint has several.
     pub name: &'a str,
-    /// Name of the hinge or slide that it moves.
+    /// Name of the hinge, slide or tendon that it acts on.
     pub joint: &'a str,
+    /// Names of the hinges and slides that it moves.
+    pub moved: Vec<&'a str>,
     /// Range of its control.
     pub control: [f32; 2],
     /// What limits its torque.
     pub torque: Torque,
 }
 
-/// The largest torque of an actuator, N m, or force of one on a slide, N.
+/// The largest torque of an actuator, N m, or force of one on a slide or tendon, N.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Torque {
     /// Of a motor, whose torque depends on the control only.
@@ -29,7 +31,10 @@ impl Robot {
     /// Actuators in the model's order.
     pub fn actuators(&self) -> impl Iterator<Item = Actuator<'_>> {
         self.blueprint.motors.iter().map(|motor| {
-            let limit = self.layout.hinges[motor.hinge].plan.torque_range.map(largest);
+            let hinges = &self.layout.hinges;
+            let only = motor.moved.only_hinge();
+            let limit = only.and_then(|hinge| hinges[hinge].plan.torque_range).map(largest);
+            let moved = motor.moved.0.iter().map(|(hinge, _)| hinges[*hinge].plan.name.as_str());
             let torque = match motor.servo {
                 Some(servo) if servo.bias[1..] != [0.0; 2] => {
                     let own = servo.range.map(|range| motor.gear.abs() * largest(range));
@@ -40,7 +45,8 @@ impl Robot {
                     Torque::Motor(limit.map_or(largest(ends), |limit| largest(ends).min(limit)))
                 }
             };
-            Actuator { name: &motor.name, joint: &motor.joint, control: motor.range, torque }
+            let (name, joint, moved) = (&motor.name, &motor.joint, moved.collect());
+            Actuator { name, joint, moved, control: motor.range, torque }
         })
     }
 }

@@ -3,6 +3,7 @@
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
+use super::coupling::{Combination, EqualityPlan, TendonPlan};
 use super::softness::{Integration, Softness, SoftnessOverride};
 use super::surface::{ContactOverride, ContactPlan, Surface};
 use crate::scene::Shape;
@@ -25,6 +26,9 @@ pub(crate) struct Blueprint {
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
     pub(crate) motors: Vec<MotorPlan>,
+    /// Fixed tendons in the order of the model.
+    pub(crate) tendons: Vec<TendonPlan>,
+    pub(crate) equalities: Vec<EqualityPlan>,
     /// Keyframes in the order of the model.
     pub(crate) keyframes: Vec<Keyframe>,
     /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
@@ -229,10 +233,12 @@ impl HingeAxis {
 pub(crate) struct MotorPlan {
     /// Name of the actuator; that of its joint, with the kind of actuator if the joint has several, unless stated.
     pub(crate) name: String,
-    /// Name of the hinge that it drives.
+    /// Name of the hinge or tendon that it drives.
     pub(crate) joint: String,
-    /// Index of this hinge among all hinges, in the order of the links.
-    pub(crate) hinge: usize,
+    /// The hinges that it moves.
+    pub(crate) moved: Combination,
+    /// Index of its tendon among all tendons, if it drives one.
+    pub(crate) tendon: Option<usize>,
     /// N m per unit of force.
     pub(crate) gear: f32,
     /// Range of the control.
@@ -241,8 +247,8 @@ pub(crate) struct MotorPlan {
     pub(crate) servo: Option<Servo>,
 }
 
-/// Force of a motor with feedback: `gain c + bias . (1, q, v)`, where `q` and `v` are `gear` times the hinge's position
-/// and speed, within its range.
+/// Force of a motor with feedback: `gain c + bias . (1, q, v)`, where `q` and `v` are `gear` times the position and speed of
+/// what it moves, within its range.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Servo {
     pub(crate) gain: f32,
@@ -305,6 +311,19 @@ impl Blueprint {
         if !contacts.chain(limits).all(|softness| softness.is_plain()) {
             return reason(
                 "needs `solref` with a damping ratio of 1 and `solimp` with midpoint 0.5 and power 2",
+            );
+        }
+        let free = |joint: &JointPlan| match joint {
+            JointPlan::Free(free) | JointPlan::Floating(free) => free.friction,
+            _ => 0.0,
+        };
+        let has_limit = |tendon: &TendonPlan| tendon.range.is_some() || tendon.friction > 0.0;
+        if !self.equalities.is_empty()
+            || self.tendons.iter().any(has_limit)
+            || self.links.iter().any(|link| free(&link.joint) > 0.0)
+        {
+            return reason(
+                "needs a model without equalities, limits or friction of tendons, and friction of a free joint",
             );
         }
         if self.contacts.cone == Cone::Elliptic {

@@ -17,7 +17,7 @@ impl Robot {
     /// Motors that a policy can hardly explore: one sentence each with the joint, the reason and what to change.
     pub(crate) fn hard_to_explore(&self) -> Vec<String> {
         let about = |motor: &MotorPlan| {
-            let hinge = &self.layout.hinges[motor.hinge];
+            let hinge = &self.layout.hinges[motor.moved.only_hinge()?];
             let drive = Drive { motor, hinge, step_secs: self.physics_step_secs() as f32 };
             drive.fault().map(|why| format!("the motor of `{}` {why}", motor.joint))
         };

@@ -29,6 +29,8 @@ pub(crate) struct Layout {
     pub(crate) coordinate_bounds: Vec<[f32; 2]>,
     pub(crate) reference: Vec<f32>,
     pub(crate) rest: Vec<f32>,
+    /// For each tendon, its inverse inertia in the rest pose, 1/kg or 1/(kg m^2): MuJoCo's `tendon_invweight0`.
+    pub(crate) tendon_inverses: Vec<f64>,
     /// Dry friction of a free root, if it has any.
     pub(crate) free_friction: Option<FreeFriction>,
     /// First coordinate of the free root's quaternion (w x y z), if any.
@@ -131,6 +133,16 @@ impl Layout {
                 self.free_friction = Some(FreeFriction { plan: free.clone(), link, dof, inverses });
             }
         }
+        for tendon in &blueprint.tendons {
+            let mut force = 0.0 * robot.generalized_velocity().clone_owned();
+            for (hinge, factor) in &tendon.moved.0 {
+                let hinge = &self.hinges[*hinge];
+                force[hinge.dof] += factor * hinge.plan.axis.sign;
+            }
+            let mut acceleration = force.clone();
+            robot.inv_augmented_mass().solve_mut(&mut acceleration);
+            self.tendon_inverses.push(f64::from(force.dot(&acceleration)));
+        }
         let inverse_mass = |joint: &JointMap| {
             let jacobian = robot.body_jacobian(joint.link);
             let along = |row: usize| {
@@ -182,6 +194,7 @@ impl Layout {
             coordinate_bounds: Vec::new(),
             reference: Vec::new(),
             rest: Vec::new(),
+            tendon_inverses: Vec::new(),
             free_friction: None,
             orientation: None,
         }

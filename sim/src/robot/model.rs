@@ -5,6 +5,7 @@ mod actuators;
 mod blockers;
 mod bodies;
 mod context;
+mod couplings;
 mod flat;
 mod geoms;
 mod joints;
@@ -34,7 +35,9 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     if context.blockers.is_empty() {
         links.masses_to_links(context.options.total_mass)?;
     }
-    let motors = actuators::read(&root, &context, &bodies, &links);
+    let tendons = couplings::tendons(&root, &context, &links.plans);
+    let equalities = couplings::equalities(&root, &context, &links.plans, &tendons);
+    let motors = actuators::read(&root, &context, &bodies, (&links, &tendons));
     let keyframes = keyframes::read(&root, &context.blockers);
     context.blockers.finish()?;
     Ok(Blueprint {
@@ -46,6 +49,8 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         law: Law::Constraints,
         links: links.plans,
         motors,
+        tendons,
+        equalities,
         keyframes,
         bodies: bodies.into_iter().map(|body| body.name).collect(),
         left_out,

@@ -24,7 +24,8 @@ pub(super) fn control_ranges(
     let pose = rules.start_pose(robot).0;
     let range = |(index, motor): (usize, &MotorPlan)| {
         let [low, high] = motor.range;
-        let held = held_control(motor, pose[robot.layout().hinge_coordinate(motor.hinge)]);
+        let at = |hinge| pose[robot.layout().hinge_coordinate(hinge)];
+        let held = held_control(motor, motor.moved.sum(at));
         let stated = rules.start_control(index);
         let middle = stated.or(held).unwrap_or(low / 2.0 + high / 2.0).clamp(low, high);
         let half = row.scale.filter(|_| held.is_some()).unwrap_or(high / 2.0 - low / 2.0);
@@ -33,10 +34,10 @@ pub(super) fn control_ranges(
     Ok(motors.iter().enumerate().map(range).collect())
 }
 
-/// Control with which a servo of the position rests at a coordinate; `None` for other motors.
-fn held_control(motor: &MotorPlan, coordinate: f32) -> Option<f32> {
+/// Control with which a servo of the position rests at a position; `None` for other motors.
+fn held_control(motor: &MotorPlan, position: f32) -> Option<f32> {
     let servo = motor.servo?;
     let [constant, stiffness, _] = servo.bias;
     (stiffness != 0.0 && servo.gain != 0.0)
-        .then(|| -(constant + stiffness * motor.gear * coordinate) / servo.gain)
+        .then(|| -(constant + stiffness * motor.gear * position) / servo.gain)
 }

@@ -9,6 +9,7 @@
 //! No number is kept between steps, so a rebuilt world continues as the uninterrupted one.
 
 mod contacts;
+mod couplings;
 mod problem;
 
 use rapier3d::dynamics::{Multibody, MultibodyJoint, RigidBodySet};
@@ -129,6 +130,7 @@ impl Constraints {
             add_limit(&mut self.problem, &self.start.speeds, hinge, *position, rule);
             add_dry_friction(&mut self.problem, &self.start.speeds, hinge, rule);
         }
+        couplings::add(&mut self.problem, &self.start, robot, rule);
         if let Some(free) = &layout.free_friction {
             add_free_friction(&mut self.problem, &self.start, free, rule);
         }

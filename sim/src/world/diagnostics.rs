@@ -63,9 +63,13 @@ impl World {
     /// Torque of the motors of `joint` for their last controls, N m; `None` without a motor, or if the torque of one also
     /// depends on the robot's motion.
     pub fn torque(&self, joint: &str) -> Option<f32> {
+        let hinges = &self.robot.layout().hinges;
         let motors = self.robot.blueprint().motors.iter().enumerate();
-        let of_joint = motors.filter(|(_, motor)| motor.joint == joint);
-        let torques = of_joint.map(|(index, motor)| motor.torque(self.drives.control(index)));
+        let torques = motors.filter_map(|(index, motor)| {
+            let mut moved = motor.moved.0.iter();
+            let (_, factor) = moved.find(|(hinge, _)| hinges[*hinge].plan.name == joint)?;
+            Some(motor.torque(self.drives.control(index)).map(|torque| factor * torque))
+        });
         torques.reduce(|sum, torque| Some(sum? + torque?)).flatten()
     }
 

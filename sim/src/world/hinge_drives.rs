@@ -6,7 +6,7 @@
 
 use rapier3d::dynamics::Multibody;
 
-use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Robot, Spring};
+use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan};
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian. The engine
 /// also damps the hinge with this stiffness times the duration of the step.
@@ -26,6 +26,8 @@ pub(crate) struct HingeDrives {
     motors: Vec<(MotorPlan, f32)>,
     /// Damping of the hinges, N m s / rad, in the order of [`Layout::hinges`].
     dampings: Vec<f32>,
+    /// Tendons with a spring or a damper.
+    tendons: Vec<TendonPlan>,
     /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
 }
@@ -39,6 +41,8 @@ struct Drive {
     last_torque: f32,
     /// Part of the motors' torque that the engine adds as damping, N m s / rad.
     damping: f32,
+    /// Angle at the start of the step, rad.
+    angle: f32,
     /// Speed at the start of the step, rad/s.
     speed: f32,
     /// Acceleration in the last step without the limit's torque, rad/s^2.
@@ -72,6 +76,10 @@ impl HingeDrives {
             step_secs,
             motors: blueprint.motors.iter().map(|motor| (motor.clone(), 0.0)).collect(),
             dampings: layout.hinges.iter().map(|hinge| hinge.plan.damping).collect(),
+            tendons: {
+                let acts = |tendon: &&TendonPlan| tendon.stiffness > 0.0 || tendon.damping > 0.0;
+                blueprint.tendons.iter().filter(acts).cloned().collect()
+            },
             drives: vec![Drive::default(); layout.hinges.len()],
         }
     }
@@ -108,17 +116,20 @@ impl HingeDrives {
     /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A
     /// weak spring with its rest at distance `torque / k` therefore adds a torque without a constraint.
     pub(crate) fn apply(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
+        for (drive, hinge) in self.drives.iter_mut().zip(hinges) {
+            let link = robot.link(hinge.link).expect("the layout is this robot's");
+            drive.angle = hinge.plan.axis.sign * link.joint().coords()[hinge.axis];
+            drive.speed = hinge.plan.axis.sign * robot.generalized_velocity()[hinge.dof];
+            drive.last_torque = drive.torque;
+            (drive.torque, drive.damping) = (0.0, 0.0);
+        }
+        self.actuate(hinges);
         for (index, hinge) in hinges.iter().enumerate() {
-            let at = robot.link(hinge.link).expect("the layout is this robot's").joint().coords();
-            let at = at[hinge.axis];
-            let angle = hinge.plan.axis.sign * at;
-            let speed = hinge.plan.axis.sign * robot.generalized_velocity()[hinge.dof];
-            self.actuate(index, hinge, angle, speed);
+            let Drive { angle, speed, .. } = self.drives[index];
+            let at = hinge.plan.axis.sign * angle;
             let limit = self.limit(index, hinge, angle, speed);
             let drive = &mut self.drives[index];
-            drive.speed = speed;
             drive.limit = limit;
-            drive.last_torque = drive.torque;
             let spring = -hinge.plan.stiffness * (angle - hinge.plan.spring_rest);
             let explicit = drive.torque + drive.damping * speed;
             let torque = explicit + spring + limit.armature * limit.reference;
@@ -141,35 +152,46 @@ impl HingeDrives {
         }
     }
 
-    /// Computes the torque of a hinge's motors. The part of servos that depends on the speed is damping, which the engine
-    /// integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
-    fn actuate(&mut self, index: usize, hinge: &HingeMap, angle: f32, speed: f32) {
-        let (mut torque, mut damping) = (0.0, 0.0);
-        for (motor, control) in self.motors.iter().filter(|(motor, _)| motor.hinge == index) {
+    /// Computes the torques of motors and tendons. The part of a joint's servo that depends on the speed is damping, which
+    /// the engine integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
+    fn actuate(&mut self, hinges: &[HingeMap]) {
+        let Self { motors, tendons, drives, .. } = self;
+        for (motor, control) in motors {
             let Some(servo) = motor.servo else {
-                torque += motor.gear * control;
+                for (hinge, factor) in &motor.moved.0 {
+                    drives[*hinge].torque += factor * (motor.gear * *control);
+                }
                 continue;
             };
+            let position = motor.gear * motor.moved.sum(|hinge| drives[hinge].angle);
+            let speed = motor.gear * motor.moved.sum(|hinge| drives[hinge].speed);
             let [constant, stiffness, slope] = servo.bias;
-            let still = servo.gain * control + constant + stiffness * motor.gear * angle;
-            let force = still + slope * motor.gear * speed;
-            match servo.range {
-                Some([low, high]) if force < low || force > high => {
-                    torque += motor.gear * force.clamp(low, high);
-                }
-                _ => {
-                    torque += motor.gear * force;
-                    damping -= motor.gear * motor.gear * slope;
-                }
+            let force = servo.gain * *control + constant + stiffness * position + slope * speed;
+            let limited = servo.range.map_or(force, |[low, high]| force.clamp(low, high));
+            let only = motor.moved.only_hinge().filter(|_| limited == force);
+            if let Some(hinge) = only {
+                drives[hinge].damping -= motor.gear * motor.gear * slope;
+            }
+            for (hinge, factor) in &motor.moved.0 {
+                drives[*hinge].torque += factor * (motor.gear * limited);
             }
         }
-        if let Some([low, high]) = hinge.plan.torque_range
-            && (torque < low || torque > high)
-        {
-            (torque, damping) = (torque.clamp(low, high), 0.0);
+        for tendon in tendons {
+            let length = tendon.moved.sum(|hinge| drives[hinge].angle);
+            let speed = tendon.moved.sum(|hinge| drives[hinge].speed);
+            let force = tendon.passive_force(length, speed);
+            for (hinge, factor) in &tendon.moved.0 {
+                drives[*hinge].torque += factor * force;
+            }
         }
-        let drive = &mut self.drives[index];
-        (drive.torque, drive.damping) = (torque, damping.max(0.0));
+        for (drive, hinge) in drives.iter_mut().zip(hinges) {
+            if let Some([low, high]) = hinge.plan.torque_range
+                && (drive.torque < low || drive.torque > high)
+            {
+                (drive.torque, drive.damping) = (drive.torque.clamp(low, high), 0.0);
+            }
+            drive.damping = drive.damping.max(0.0);
+        }
     }
 
     /// Limit that the angle violates; zero if it is inactive.

@@ -92,15 +92,25 @@ impl Classes {
         element: &Element,
         childclass: Option<&str>,
     ) -> Result<Element, String> {
+        if let Some(child) = element.children.first() {
+            return Err(child.refuse("this element is not supported; remove it"));
+        }
+        self.resolve_as(slot(&element.tag), element, childclass)
+    }
+
+    /// As [`Self::resolve`], with the defaults of the elements `slot`.
+    pub(in crate::robot) fn resolve_as(
+        &self,
+        slot: &str,
+        element: &Element,
+        childclass: Option<&str>,
+    ) -> Result<Element, String> {
         let name = element.text("class").or(childclass).unwrap_or(MAIN);
         let class = self.0.get(name);
         let class =
             class.ok_or_else(|| element.refuse(format!("no default has the class `{name}`")))?;
-        if let Some(child) = element.children.first() {
-            return Err(child.refuse("this element is not supported; remove it"));
-        }
         let mut resolved = element.with(BTreeMap::new());
-        if let Some(defaults) = class.get(slot(&element.tag)) {
+        if let Some(defaults) = class.get(slot) {
             resolved.overlay(defaults);
         }
         resolved.overlay(element);

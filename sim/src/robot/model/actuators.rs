@@ -1,19 +1,22 @@
 //! Actuators: motors, and servos of the position or the speed of a joint.
 
-use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
+use super::super::blueprint::{MotorPlan, Servo};
+use super::super::coupling::{Combination, TendonPlan};
 use super::super::document::{Element, check_names};
 use super::bodies::Body;
 use super::context::Context;
+use super::joints;
 use super::links::Links;
 
 /// What else than a joint an actuator of MuJoCo can act on.
-const ELSEWHERE: [&str; 6] = ["tendon", "site", "refsite", "body", "cranksite", "slidersite"];
+const ELSEWHERE: [&str; 5] = ["site", "refsite", "body", "cranksite", "slidersite"];
 const KINDS: [&str; 4] = ["motor", "position", "velocity", "general"];
-const KNOWN: [&str; 16] = [
+const KNOWN: [&str; 17] = [
     "name",
     "class",
     "joint",
     "jointinparent",
+    "tendon",
     "gear",
     "ctrlrange",
     "ctrllimited",
@@ -32,13 +35,22 @@ const GENERAL: [&str; 7] =
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
-/// A joint that an actuator moves.
-struct Driven<'a> {
-    /// Index among all hinges, in the order of the links.
-    index: usize,
-    hinge: &'a Hinge,
+/// A joint or tendon that an actuator moves.
+struct Driven {
+    name: String,
+    moved: Combination,
+    /// Index of the tendon among all tendons.
+    tendon: Option<usize>,
+    /// Offset from this crate's position to MuJoCo's.
+    reference: f64,
+    /// Range of the position, and of the force.
+    range: Option<[f32; 2]>,
+    torque_range: Option<[f32; 2]>,
     gear: f64,
 }
+
+/// The links and tendons of a model.
+type Parts<'a> = (&'a Links<'a>, &'a [TendonPlan]);
 
 /// Force of an actuator: `gain c + bias . (1, q, v)`, with MuJoCo's coordinate `q`.
 struct Law {
@@ -53,13 +65,13 @@ pub(super) fn read(
     root: &Element,
     context: &Context,
     bodies: &[Body],
-    links: &Links<'_>,
+    parts: Parts<'_>,
 ) -> Vec<MotorPlan> {
     let elements = || root.all("actuator").flat_map(|section| &section.children);
     context.blockers.keep(check_names(elements()));
     let read = |element: &Element| {
         let element = context.classes.resolve(element, None)?;
-        motor(&element, context, bodies, links).map(|motor| Some((element, motor?)))
+        motor(&element, context, bodies, parts).map(|motor| Some((element, motor?)))
     };
     let read: Vec<(Element, MotorPlan)> =
         elements().filter_map(|element| context.blockers.keep(read(element)).flatten()).collect();
@@ -92,11 +104,11 @@ fn motor(
     element: &Element,
     context: &Context,
     bodies: &[Body],
-    links: &Links<'_>,
+    parts: Parts<'_>,
 ) -> Result<Option<MotorPlan>, String> {
     if let Some(target) = ELSEWHERE.iter().find(|name| element.text(name).is_some()) {
         let reason = format!(
-            "an actuator must act on a joint, not on a {target}; state its `joint`, or remove it"
+            "an actuator must act on a joint or a fixed tendon, not on a {target}; state its `joint`, or remove it"
         );
         return Err(element.refuse_for(target, reason));
     }
@@ -105,48 +117,87 @@ fn motor(
         let reason = "this actuator is not supported; use motor, position, velocity or general";
         return Err(element.refuse(reason));
     }
-    let joint = match (element.text("joint"), element.text("jointinparent")) {
-        (Some(_), Some(_)) => {
-            return Err(element.refuse("it has `joint` and `jointinparent`; remove one"));
-        }
-        (joint, in_parent) => joint.or(in_parent),
-    };
-    let joint = joint
-        .ok_or_else(|| element.refuse("an actuator must act on a joint; state its `joint`"))?;
-    let mut hinges = links.plans.iter().filter_map(LinkPlan::hinge).enumerate();
-    let Some((index, hinge)) = hinges.find(|(_, hinge)| hinge.name == joint) else {
-        let mut stated = bodies.iter().flat_map(|body| &body.joints);
-        let is_refused = !context.blockers.is_empty()
-            && stated.any(|(stated, _)| stated.text("name") == Some(joint));
-        let reason = format!("no hinge or slide has the name `{joint}`; state its name");
-        return if is_refused { Ok(None) } else { Err(element.refuse_for("joint", reason)) };
-    };
-    let gear = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?[0];
-    let driven = Driven { index, hinge, gear };
+    let Some(driven) = driven(element, context, bodies, parts)? else { return Ok(None) };
     let law = law(element, context)?;
     let range = control_range(element, &driven, &law, context)?;
     Ok(Some(MotorPlan {
         name: String::new(),
-        joint: joint.to_owned(),
-        hinge: driven.index,
-        gear: gear as f32,
+        gear: driven.gear as f32,
         range: range.map(|end| end as f32),
         servo: law.servo(&driven),
+        joint: driven.name,
+        moved: driven.moved,
+        tendon: driven.tendon,
+    }))
+}
+
+/// What an actuator moves; `None` if that could not be read.
+fn driven(
+    element: &Element,
+    context: &Context,
+    bodies: &[Body],
+    (links, tendons): Parts<'_>,
+) -> Result<Option<Driven>, String> {
+    let targets = ["joint", "jointinparent", "tendon"];
+    let mut stated = targets.iter().filter_map(|target| Some((target, element.text(target)?)));
+    let (attribute, name) = match (stated.next(), stated.next()) {
+        (Some((attribute, name)), None) => (*attribute, name),
+        (None, _) => {
+            return Err(element.refuse("an actuator must act on a joint; state its `joint`"));
+        }
+        (Some(_), Some(_)) => {
+            return Err(element.refuse("it acts on a `joint` and on something else; remove one"));
+        }
+    };
+    let gear = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?[0];
+    if attribute == "tendon" {
+        let index = tendons.iter().position(|tendon| tendon.name == name);
+        let reason = format!("no fixed tendon has the name `{name}`; state its name");
+        let Some(index) = index else {
+            return if context.blockers.is_empty() {
+                Err(element.refuse_for(attribute, reason))
+            } else {
+                Ok(None)
+            };
+        };
+        let tendon = &tendons[index];
+        return Ok(Some(Driven {
+            name: name.to_owned(),
+            moved: tendon.moved.clone(),
+            tendon: Some(index),
+            reference: f64::from(tendon.reference),
+            range: tendon.range,
+            torque_range: None,
+            gear,
+        }));
+    }
+    let Some((index, hinge)) = joints::find(&links.plans, name) else {
+        let mut stated = bodies.iter().flat_map(|body| &body.joints);
+        let is_refused = !context.blockers.is_empty()
+            && stated.any(|(stated, _)| stated.text("name") == Some(name));
+        let reason = format!("no hinge or slide has the name `{name}`; state its name");
+        return if is_refused { Ok(None) } else { Err(element.refuse_for(attribute, reason)) };
+    };
+    Ok(Some(Driven {
+        name: name.to_owned(),
+        moved: Combination::of_hinge(index),
+        tendon: None,
+        reference: f64::from(hinge.reference),
+        range: hinge.range,
+        torque_range: hinge.torque_range,
+        gear,
     }))
 }
 
 /// Range of the control. A policy needs one, so a range that is not stated follows from those of the joint or the force.
 fn control_range(
     element: &Element,
-    driven: &Driven<'_>,
+    driven: &Driven,
     law: &Law,
     context: &Context,
 ) -> Result<[f64; 2], String> {
     let inherited = element.number("inheritrange", 0.0)?;
-    let of_joint = driven
-        .hinge
-        .range
-        .map(|range| range.map(|end| f64::from(end) + f64::from(driven.hinge.reference)));
+    let of_joint = driven.range.map(|range| range.map(|end| f64::from(end) + driven.reference));
     let stated = element.numbers::<2>("ctrlrange")?;
     let limited = element.flag("ctrllimited")?;
     let range = match (of_joint, stated) {
@@ -173,13 +224,13 @@ fn control_range(
 
 impl Law {
     /// Range of the control that the joint's range gives a servo of the position, or the force's range a motor.
-    fn implied_range(&self, driven: &Driven<'_>, of_joint: Option<[f64; 2]>) -> Option<[f64; 2]> {
+    fn implied_range(&self, driven: &Driven, of_joint: Option<[f64; 2]>) -> Option<[f64; 2]> {
         let [constant, stiffness, slope] = self.bias;
         let ends = if stiffness != 0.0 {
             let gear = driven.gear;
             of_joint?.map(|angle| -(constant + stiffness * gear * angle) / self.gain)
         } else if slope == 0.0 {
-            let of_joint = driven.hinge.torque_range;
+            let of_joint = driven.torque_range;
             let of_joint = of_joint.map(|range| range.map(|end| f64::from(end) / driven.gear));
             let force = self.range.map(|range| range.map(f64::from)).or(of_joint)?;
             force.map(|force| (force - constant) / self.gain)
@@ -191,12 +242,12 @@ impl Law {
     }
 
     /// The feedback; `None` if the force is the control.
-    fn servo(&self, driven: &Driven<'_>) -> Option<Servo> {
+    fn servo(&self, driven: &Driven) -> Option<Servo> {
         let [constant, stiffness, slope] = self.bias;
         if self.gain == 1.0 && self.bias == [0.0; 3] && self.range.is_none() {
             return None;
         }
-        let constant = constant + stiffness * driven.gear * f64::from(driven.hinge.reference);
+        let constant = constant + stiffness * driven.gear * driven.reference;
         let bias = [constant, stiffness, slope].map(|number| number as f32);
         Some(Servo { gain: self.gain as f32, bias, range: self.range })
     }

@@ -17,8 +17,7 @@ use super::options::MassSource;
 use crate::scene::Hull;
 
 /// Sections without effect on the motion.
-const SECTIONS: [&str; 7] =
-    ["size", "statistic", "visual", "custom", "sensor", "tendon", "equality"];
+const SECTIONS: [&str; 5] = ["size", "statistic", "visual", "custom", "sensor"];
 /// Paths of files, which the document does not name any more.
 const PATHS: [&str; 4] = ["meshdir", "assetdir", "texturedir", "strippath"];
 /// Corners of a mesh that only marks the base of a robot, m.

@@ -1,6 +1,6 @@
 //! Joints of bodies.
 
-use super::super::blueprint::{FreeJoint, Hinge, HingeAxis, JointPlan, Motion, Planar};
+use super::super::blueprint::{FreeJoint, Hinge, HingeAxis, JointPlan, LinkPlan, Motion, Planar};
 use super::super::document::Element;
 use super::super::frame::{Frame, IDENTITY, rotated, vector};
 use super::super::softness::Softness;
@@ -30,6 +30,12 @@ const KNOWN: [&str; 19] = [
 ];
 const SKIPPED: [&str; 3] = ["group", "user", "actuatorfrclimited"];
 const PASSIVE: [&str; 4] = ["stiffness", "damping", "armature", "frictionloss"];
+
+/// The hinge or slide with this name, and its index among all.
+pub(super) fn find<'a>(links: &'a [LinkPlan], name: &str) -> Option<(usize, &'a Hinge)> {
+    let mut hinges = links.iter().filter_map(LinkPlan::hinge).enumerate();
+    hinges.find(|(_, hinge)| hinge.name == name)
+}
 
 /// Whether a joint is a free joint.
 pub(super) fn is_free((joint, _): &(Element, Frame)) -> bool {
@@ -101,7 +107,8 @@ fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, St
     })
 }
 
-fn not_negative(joint: &Element, name: &str) -> Result<f32, String> {
+/// Number of an attribute; 0 without it.
+pub(super) fn not_negative(joint: &Element, name: &str) -> Result<f32, String> {
     match joint.number(name, 0.0)? {
         number if number < 0.0 => {
             Err(joint.refuse_for(name, format!("`{name}` must not be negative, is {number}")))
@@ -190,7 +197,8 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
     })
 }
 
-fn softness(
+/// Softness of a constraint that two attributes state.
+pub(super) fn softness(
     joint: &Element,
     [solref, solimp]: [&str; 2],
     context: &Context,

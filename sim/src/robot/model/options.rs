@@ -140,6 +140,8 @@ pub(super) struct Options {
     pub(super) integration: Integration,
     pub(super) has_contacts: bool,
     pub(super) contacts: ContactRules,
+    /// Whether equality constraints act.
+    pub(super) has_equalities: bool,
     /// Whether joints have limits.
     pub(super) has_limits: bool,
     /// Whether joints have dry friction.
@@ -163,7 +165,7 @@ impl Options {
                 blockers.note(flags.refuse_for(flag, reason));
             }
         }
-        let [constraints, contacts, _, friction, limits] = {
+        let [constraints, contacts, equalities, friction, limits] = {
             let mut all = [true; CONSTRAINTS.len()];
             for (is_on, flag) in all.iter_mut().zip(CONSTRAINTS) {
                 *is_on = flags.flag(flag)?.unwrap_or(true);
@@ -183,6 +185,7 @@ impl Options {
             gravity: vector(option.numbers("gravity")?.unwrap_or([0.0, 0.0, -9.81])),
             integration: integration(&option)?,
             has_contacts: constraints && contacts,
+            has_equalities: constraints && equalities,
             has_limits: constraints && limits,
             has_friction: constraints && friction,
             contacts: contact_rules(&option)?,
@@ -218,23 +221,10 @@ fn check_sections(root: &Element, blockers: &Blockers) {
             blockers.note(child.refuse("this element is not supported; remove it"));
         }
     }
-    for constraint in root.all("equality").flat_map(|section| &section.children) {
-        if blockers.keep(constraint.flag("active")).flatten() != Some(false) {
-            let reason =
-                "equality constraints are not supported; remove it, or set active=\"false\"";
-            blockers.note(constraint.refuse(reason));
-        }
-    }
     for pair in root.all("contact").flat_map(|section| section.all("pair")) {
         let reason = "explicit contact pairs are not supported; remove it, the shapes' own \
             `contype`, `conaffinity`, `friction` and `solref` count";
         blockers.note(pair.refuse(reason));
-    }
-    let passive = ["stiffness", "damping", "frictionloss", "range", "armature"];
-    let acts = |tendon: &&Element| passive.iter().any(|name| tendon.text(name).is_some());
-    for tendon in root.all("tendon").flat_map(|section| &section.children).filter(acts) {
-        let reason = "tendons with forces or limits are not supported; remove it";
-        blockers.note(tendon.refuse(reason));
     }
 }
 

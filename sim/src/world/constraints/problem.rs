@@ -20,6 +20,8 @@ pub(super) const MOST_ROWS: usize = 6;
 /// Limits of the forces of a constraint.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Kind {
+    /// One row, of which the force has no limit: an equality.
+    Hold,
     /// One row, of which the force is not negative: a contact's edge, a limit.
     Push,
     /// One row, of which the force is at most this: dry friction.
@@ -280,12 +282,13 @@ impl Kind {
             Self::Push => forces[0] = forces[0].max(0.0),
             Self::Bounded(most) => forces[0] = forces[0].clamp(-most, *most),
             Self::Cone { .. } if self.zone(residuals, weights) == Zone::Flat => forces.fill(0.0),
-            Self::Cone { .. } => {}
+            Self::Cone { .. } | Self::Hold => {}
         }
     }
 
     fn zone(&self, residuals: &[f64], weights: &[f64]) -> Zone {
         let is_square = match self {
+            Self::Hold => true,
             Self::Push => residuals[0] < 0.0,
             Self::Bounded(most) => (residuals[0] * weights[0]).abs() < *most,
             Self::Cone { mu, friction } => {

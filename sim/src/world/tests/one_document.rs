@@ -39,7 +39,9 @@ const WALKER: &str = r#"<mujoco>
       </body>
     </body>
   </worldbody>
-  <actuator><motor joint="hip" ctrlrange="-1 1"/></actuator>
+  <tendon><fixed name="both"><joint joint="hip" coef="2"/><joint joint="shoulder"/></fixed></tendon>
+  <equality><joint joint1="hip" joint2="shoulder" polycoef="0 0.5"/><weld body1="leg" active="false"/></equality>
+  <actuator><motor joint="hip" ctrlrange="-1 1"/><motor tendon="both" ctrlrange="-1 1"/></actuator>
 </mujoco>"#;
 const CLASSES: &str = r#"<mujoco><default>
   <mesh scale="0.05 0.05 0.05"/>
@@ -126,10 +128,13 @@ fn assert_same(document: &str) -> String {
             motors,
             bodies,
             left_out,
+            tendons,
+            equalities,
             ..
         } = plan;
         format!(
-            "{timestep_secs} {gravity} {integration:?} {grounds:?} {motors:?} {bodies:?} {left_out:?}"
+            "{timestep_secs} {gravity} {integration:?} {grounds:?} {motors:?} {bodies:?} {left_out:?} \
+             {tendons:?} {equalities:?}"
         )
     };
     assert_eq!(rest(got), rest(expected));

@@ -110,7 +110,7 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
         (
             actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
-            "line 6, <motor>: an actuator must act on a joint, not on a tendon",
+            "line 6, <motor>: no fixed tendon has the name `t`; state its name",
         ),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
@@ -127,11 +127,19 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
         (
             section("<equality>\n<weld body1=\"b\"/></equality>"),
-            "line 6, <weld>: equality constraints",
+            "line 6, <weld>: only equalities of joints and of fixed tendons",
         ),
         (
-            section("\n<tendon><fixed name=\"t\" stiffness=\"1\"/></tendon>"),
-            "line 6, <fixed name=\"t\">: tendons with forces",
+            section("\n<tendon><spatial name=\"t\" stiffness=\"1\"/></tendon>"),
+            "line 6, <spatial name=\"t\">: a spatial tendon with forces",
+        ),
+        (
+            section("\n<tendon><fixed name=\"t\"><joint joint=\"lost\"/></fixed></tendon>"),
+            "line 6, <joint joint=\"lost\">: no hinge or slide has the name `lost`",
+        ),
+        (
+            section("\n<equality><joint joint1=\"j\" joint2=\"k\"/></equality>"),
+            "line 6, <joint>: no hinge, slide or fixed tendon has the name `k`",
         ),
         (
             section("\n<contact><pair geom1=\"a\"/></contact>"),

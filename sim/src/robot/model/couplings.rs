@@ -1,0 +1,166 @@
+//! Fixed tendons, and equality constraints of joints and tendons.
+
+use super::super::blueprint::LinkPlan;
+use super::super::coupling::{Combination, Coupled, EqualityPlan, TendonPlan};
+use super::super::document::{Element, check_names};
+use super::context::Context;
+use super::joints;
+
+const TENDON: [&str; 15] = [
+    "name",
+    "class",
+    "limited",
+    "range",
+    "margin",
+    "solreflimit",
+    "solimplimit",
+    "solreffriction",
+    "solimpfriction",
+    "frictionloss",
+    "springlength",
+    "stiffness",
+    "damping",
+    "armature",
+    "actuatorfrcrange",
+];
+/// Attributes without effect on the motion.
+const SEEN: [&str; 6] = ["group", "width", "material", "rgba", "user", "actuatorfrclimited"];
+const EQUALITY: [&str; 11] = [
+    "name", "class", "active", "solref", "solimp", "joint1", "joint2", "tendon1", "tendon2",
+    "polycoef", "user",
+];
+/// Terms that act on a spatial tendon.
+const PASSIVE: [&str; 5] = ["stiffness", "damping", "frictionloss", "range", "armature"];
+
+/// Reads all tendons.
+pub(super) fn tendons(root: &Element, context: &Context, links: &[LinkPlan]) -> Vec<TendonPlan> {
+    let elements = || root.all("tendon").flat_map(|section| &section.children);
+    context.blockers.keep(check_names(elements()));
+    let read = |element: &Element| {
+        let resolved = context.classes.resolve_as("tendon", &element.alone(), None)?;
+        match element.tag.as_str() {
+            "fixed" => fixed(&resolved, element, context, links).map(Some),
+            // One without forces only measures.
+            _ if !PASSIVE.iter().any(|name| resolved.text(name).is_some()) => Ok(None),
+            _ => {
+                let reason = "a spatial tendon with forces or limits is not supported; remove it";
+                Err(element.refuse(reason))
+            }
+        }
+    };
+    elements().filter_map(|element| context.blockers.keep(read(element)).flatten()).collect()
+}
+
+fn fixed(
+    tendon: &Element,
+    element: &Element,
+    context: &Context,
+    links: &[LinkPlan],
+) -> Result<TendonPlan, String> {
+    tendon.only(&[&TENDON, &SEEN])?;
+    for name in ["armature", "actuatorfrcrange"] {
+        if tendon.list(name)?.is_some_and(|numbers| numbers.iter().any(|number| *number != 0.0)) {
+            return Err(tendon
+                .refuse_for(name, format!("`{name}` of a tendon is not supported; remove it")));
+        }
+    }
+    let (mut terms, mut reference) = (Vec::new(), 0.0);
+    for part in &element.children {
+        part.only(&[&["joint", "coef"]])?;
+        let name = part.text("joint").ok_or_else(|| part.refuse("it must name a `joint`"))?;
+        let (index, hinge) = joints::find(links, name).ok_or_else(|| {
+            part.refuse(format!("no hinge or slide has the name `{name}`; state its name"))
+        })?;
+        let factor = part.number("coef", 1.0)?;
+        reference += factor * f64::from(hinge.reference);
+        terms.push((index, factor as f32));
+    }
+    if terms.is_empty() {
+        return Err(tendon.refuse("it moves no joint; add a <joint> to it"));
+    }
+    let lengths = |name: &str| -> Result<Option<[f32; 2]>, String> {
+        let numbers = tendon.list(name)?;
+        let ends = numbers.map(|numbers| [numbers[0], numbers[numbers.len() - 1]]);
+        Ok(ends.map(|ends| ends.map(|end| (end - reference) as f32)))
+    };
+    let limited = tendon.flag("limited")?;
+    let limited = limited.unwrap_or(context.options.autolimits && tendon.text("range").is_some())
+        && context.options.has_limits;
+    let range = lengths("range")?.filter(|_| limited);
+    if limited && range.is_none_or(|[low, high]| low >= high) {
+        return Err(tendon.refuse_for("range", "`range` must have a lower and a higher end"));
+    }
+    let number = |name: &str| joints::not_negative(tendon, name);
+    // Without a length, or with -1, the spring is slack in the rest pose.
+    let is_stated = tendon.list("springlength")?.is_some_and(|numbers| numbers[0] != -1.0);
+    Ok(TendonPlan {
+        name: tendon.text("name").unwrap_or_default().to_owned(),
+        moved: Combination(terms),
+        reference: reference as f32,
+        range,
+        margin: number("margin")?,
+        limit: joints::softness(tendon, ["solreflimit", "solimplimit"], context)?,
+        stiffness: number("stiffness")?,
+        slack: lengths("springlength")?.filter(|_| is_stated).unwrap_or([0.0; 2]),
+        damping: number("damping")?,
+        friction: if context.options.has_friction { number("frictionloss")? } else { 0.0 },
+        friction_softness: joints::softness(tendon, ["solreffriction", "solimpfriction"], context)?,
+    })
+}
+
+/// Reads all active equality constraints.
+pub(super) fn equalities(
+    root: &Element,
+    context: &Context,
+    links: &[LinkPlan],
+    tendons: &[TendonPlan],
+) -> Vec<EqualityPlan> {
+    let read = |element: &Element| {
+        let resolved = context.classes.resolve_as("equality", element, None)?;
+        match resolved.flag("active")? {
+            Some(false) => Ok(None),
+            _ => equality(&resolved, context, links, tendons).map(Some),
+        }
+    };
+    let elements = root.all("equality").flat_map(|section| &section.children);
+    let elements = elements.filter(|_| context.options.has_equalities);
+    elements.filter_map(|element| context.blockers.keep(read(element)).flatten()).collect()
+}
+
+fn equality(
+    element: &Element,
+    context: &Context,
+    links: &[LinkPlan],
+    tendons: &[TendonPlan],
+) -> Result<EqualityPlan, String> {
+    let is_joint = match element.tag.as_str() {
+        "joint" => true,
+        "tendon" => false,
+        _ => {
+            let reason = "only equalities of joints and of fixed tendons are supported; remove it, or set \
+                active=\"false\"";
+            return Err(element.refuse(reason));
+        }
+    };
+    element.only(&[&EQUALITY])?;
+    let coupled = |name: &str| match is_joint {
+        true => joints::find(links, name).map(|(index, _)| Coupled::Hinge(index)),
+        false => tendons.iter().position(|tendon| tendon.name == name).map(Coupled::Tendon),
+    };
+    let side = |attribute: &str| match element.text(attribute) {
+        None => Ok(None),
+        Some(name) => {
+            let reason =
+                format!("no hinge, slide or fixed tendon has the name `{name}`; state its name");
+            coupled(name).map(Some).ok_or_else(|| element.refuse_for(attribute, reason))
+        }
+    };
+    let [first, second] = if is_joint { ["joint1", "joint2"] } else { ["tendon1", "tendon2"] };
+    let missing = || element.refuse(format!("it must have `{first}`"));
+    Ok(EqualityPlan {
+        first: side(first)?.ok_or_else(missing)?,
+        second: side(second)?,
+        polynomial: element.padded("polycoef", [0.0, 1.0, 0.0, 0.0, 0.0])?,
+        softness: joints::softness(element, ["solref", "solimp"], context)?,
+    })
+}
