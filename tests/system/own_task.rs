@@ -147,8 +147,8 @@ fn a_file_of_a_model_that_cannot_be_used_is_refused_before_anything_is_written()
     with(&task, "\"hopper.xml\"", "\"../robot/hopper.xml\"", "leaves the model's folder");
     let absolute = format!("\"{}\"", model.display());
     with(&task, "\"hopper.xml\"", &absolute, "is an absolute path");
-    let long = format!("model=\"{}\"", "x".repeat(1 << 18));
-    with(&model, "model=\"hopper\"", &long, "at most 262144 travel");
+    let long = format!("model=\"{}\"", "x".repeat(4 << 20));
+    with(&model, "model=\"hopper\"", &long, "at most 4194304");
     let stl = task.with_file_name("parts").join("trunk.stl");
     std::fs::write(&stl, &octahedron([1.0; 3])[1..]).unwrap();
     let broken = format!("{mesh} parts/trunk.stl: it is not a binary STL file");
