@@ -149,24 +149,24 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         return submit(&file, &runs, engine, arguments);
     }
     remarks(&runs).iter().for_each(output::line);
+    let record = Record::read(&file.record)?;
     if arguments.list {
-        output::line(listing(&selected, &Record::read(&file.record)?, at_once));
+        output::line(listing(&selected, &record, at_once));
         return Ok(());
     }
     if arguments.report {
-        demand_any(&file, &runs)?;
+        demand_any(&file, &runs, &record)?;
         return tell(&file, &runs);
     }
-    run_state::check_folder(&file, &runs, others(arguments))?;
-    learner::store::durable::make_folder(&file.folder)?;
-    let record = Record::read(&file.record)?;
+    run_state::make_folder(&file, &runs, others(arguments))?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
     // Lives until the report is written, so that a second signal ends the process then, too.
     let runtime = runtime()?;
     let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
-    if arguments.selection() == Selection::All || all_finished(&file, &runs)? {
+    let is_done = |run: &PlannedRun| record.holds(run) || is_finished(run);
+    if arguments.selection() == Selection::All || runs.iter().all(is_done) {
         tell(&file, &runs)?;
     } else {
         output::line(rest(&tally, selected.len(), arguments));
@@ -194,8 +194,7 @@ fn submit(
         Engine::Slurm => {
             let script = submit::slurm_script(file, &jobs, cluster.slurm()?)?;
             submit::demand_sbatch()?;
-            run_state::check_folder(file, runs, others(arguments))?;
-            learner::store::durable::make_folder(&file.folder)?;
+            run_state::make_folder(file, runs, others(arguments))?;
             let path = file.folder.join(submit::SLURM_SCRIPT_NAME);
             target::file(&path, script.as_bytes())?;
             output::line(submit::submit_to_slurm(&path)?);
@@ -223,21 +222,14 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
 }
 
 /// Refuses a report of nothing.
-fn demand_any(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
-    let record = Record::read(&file.record)?;
+fn demand_any(file: &ExperimentFile, runs: &[PlannedRun], record: &Record) -> Result<(), Usage> {
     if runs.iter().any(|run| record.holds(run) || RunFolder::holds_run(&run.folder)) {
         return Ok(());
     }
     let path = shell::path(&file.path);
     let shown = file.path.display();
     let why = format!("no run of {shown} has started; `s2mia experiment {path}` starts them");
-    Err(Usage::new(why).into())
-}
-
-/// Whether the runs of all shards are finished.
-fn all_finished(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<bool> {
-    let record = Record::read(&file.record)?;
-    Ok(runs.iter().all(|run| record.holds(run) || is_finished(run)))
+    Err(Usage::new(why))
 }
 
 /// Result of a part of an experiment whose other runs are not finished.
@@ -251,7 +243,6 @@ fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> Strin
 }
 
 fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
-    target::folder(&file.folder)?;
     let (table, written) = report::write(file, runs)?;
     output::line(table);
     written.iter().for_each(|path| output::line(path.display()));

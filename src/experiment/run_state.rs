@@ -4,8 +4,8 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::Context as _;
-use learner::store::json_lines;
 use learner::store::run_folder::{METRICS, RunFolder};
+use learner::store::{durable, json_lines};
 use serde_json::Value;
 
 use super::file::ExperimentFile;
@@ -106,11 +106,11 @@ pub(super) fn last_lines(path: &Path) -> Vec<Value> {
     json_lines::last_lines(path, TAIL_BYTES).unwrap_or_default()
 }
 
-/// Refuses a folder in a run, and one with files of others but no run.
+/// Makes the experiment's folder. Refuses a folder in a run, and one with files of others but no run.
 ///
 /// # Errors
-/// Names the folder and a file in it.
-pub(crate) fn check_folder(
+/// Names the folder, and a file in it.
+pub(crate) fn make_folder(
     file: &ExperimentFile,
     runs: &[PlannedRun],
     others: Others,
@@ -118,7 +118,9 @@ pub(crate) fn check_folder(
     runs.first().map_or(Ok(()), |run| demand_outside_runs(&run.folder))?;
     let shown = file.folder.display();
     let entries = match file.folder.read_dir() {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            return Ok(durable::make_folder(&file.folder)?);
+        }
         entries => entries.with_context(|| format!("cannot read {shown}"))?,
     };
     let names: Vec<String> = entries
@@ -208,20 +210,20 @@ mod tests {
         let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
         let file = ExperimentFile { folder: folder.path().into(), ..file };
         let runs = plan(&file).unwrap();
-        check_folder(&file, &runs, Others::Refused).unwrap();
+        make_folder(&file, &runs, Others::Refused).unwrap();
         std::fs::write(folder.path().join("results.md"), "").unwrap();
-        check_folder(&file, &runs, Others::Refused).unwrap();
+        make_folder(&file, &runs, Others::Refused).unwrap();
         std::fs::write(folder.path().join("thesis.tex"), "").unwrap();
-        let error = check_folder(&file, &runs, Others::Refused).unwrap_err().to_string();
+        let error = make_folder(&file, &runs, Others::Refused).unwrap_err().to_string();
         assert!(error.contains("contains thesis.tex and no run"), "{error}");
-        check_folder(&file, &runs, Others::Accepted).unwrap();
+        make_folder(&file, &runs, Others::Accepted).unwrap();
         std::fs::write(folder.path().join("ant-4x2-happo-seed0.log"), "").unwrap();
-        check_folder(&file, &runs, Others::Refused).unwrap();
+        make_folder(&file, &runs, Others::Refused).unwrap();
         let run = RunFolder::claim_new(&folder.path().join("run")).unwrap();
         run.begin("", &serde_json::json!({"config_sha256": "aa"})).unwrap();
         let file = ExperimentFile { folder: run.path().join("study"), ..file };
         let error =
-            check_folder(&file, &plan(&file).unwrap(), Others::Accepted).unwrap_err().to_string();
+            make_folder(&file, &plan(&file).unwrap(), Others::Accepted).unwrap_err().to_string();
         assert!(error.contains("is inside the run"), "{error}");
     }
 }
