@@ -1,26 +1,22 @@
-//! Which crate may use which, read from the `Cargo.toml` files. ARCHITECTURE.md gives the reasons.
+//! Which crate uses which, read from the `Cargo.toml` files, and which may, from the table of ARCHITECTURE.md.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use toml::Table;
 
 use crate::assert_none;
+use crate::markdown::table_rows;
 use crate::repository::{LIBRARIES, read, rust_files};
 use crate::rust_text::code_lines;
 
-/// Workspace crates that a crate may use. The root may use all of them.
-const ARROWS: [(&str, &[&str]); 10] = [
-    ("proto", &[]),
-    ("security", &[]),
-    ("sim", &["proto"]),
-    ("kernels", &[]),
-    ("policy", &["kernels"]),
-    ("marl", &["policy"]),
-    ("rollout", &["policy", "proto", "sim"]),
-    ("recording", &["policy", "proto", "rollout", "sim"]),
-    ("actor", &["policy", "proto", "recording", "rollout", "security", "sim"]),
-    ("learner", &["marl", "policy", "proto", "security"]),
-];
+/// Workspace crates that each library may use, from the table of ARCHITECTURE.md.
+fn arrows() -> BTreeMap<String, Vec<String>> {
+    let code = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect();
+    let rows = table_rows(&read("ARCHITECTURE.md")).into_iter().filter(|cells| cells.len() == 4);
+    let rows = rows.map(|cells| [0, 2].map(|column| -> Vec<String> { code(&cells[column]) }));
+    let of_crates = rows.filter_map(|[name, uses]| Some((name.into_iter().next()?, uses)));
+    of_crates.filter(|(name, _)| name != ROOT).collect()
+}
 
 /// The learner's folders. Each may use only those after it.
 const LEARNER_LAYERS: [&str; 5] = ["serve", "train", "lease", "observe", "store"];
@@ -84,10 +80,10 @@ const ALL: [&str; 3] = ["dependencies", "build-dependencies", "dev-dependencies"
 #[test]
 fn a_crate_uses_only_the_crates_that_its_arrows_allow() {
     let mut offenders = Vec::new();
-    for (name, allowed) in ARROWS {
-        let used = dependencies(name, &ALL);
+    for (name, allowed) in arrows() {
+        let used = dependencies(&name, &ALL);
         let wrong = used.iter().filter(|other| LIBRARIES.contains(&other.as_str()));
-        let wrong = wrong.filter(|other| !allowed.contains(&other.as_str()));
+        let wrong = wrong.filter(|other| !allowed.contains(other));
         offenders.extend(wrong.map(|other| format!("{name}/Cargo.toml: {name} -> {other}")));
     }
     assert_none("an arrow that ARCHITECTURE.md does not draw:", &offenders);
@@ -130,8 +126,8 @@ fn every_workspace_crate_has_its_arrows_written_down() {
     let members = root["workspace"]["members"].as_array().cloned().unwrap_or_default();
     let members: BTreeSet<String> =
         members.iter().filter_map(|member| member.as_str()).map(str::to_owned).collect();
-    let known: BTreeSet<String> = ARROWS.iter().map(|(name, _)| (*name).to_owned()).collect();
-    assert_eq!(members, known, "workspace members and ARROWS in tests/tidy/arrows.rs differ");
+    let known: BTreeSet<String> = arrows().into_keys().collect();
+    assert_eq!(members, known, "workspace members and the table of ARCHITECTURE.md differ");
 }
 
 #[test]
