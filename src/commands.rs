@@ -1,4 +1,4 @@
-//! The command line: every command has its file here, with its arguments above the function that runs it.
+//! The command line: the commands, each with its arguments above the function that runs it.
 
 mod actor;
 mod certs;
