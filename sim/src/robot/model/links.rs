@@ -134,7 +134,8 @@ impl<'a> Links<'a> {
             if is_drawn {
                 let touches = context.options.has_contacts && collides(geom);
                 let surface = Some(geom.surface).filter(|_| touches);
-                let mass_centre = frame.translation;
+                // MuJoCo's mass centre of a body without a mass: its position in its parent, as one in itself.
+                let mass_centre = *frame * body.frame.pose().translation;
                 let plan = ShapePlan { shape, pose, surface, body: index, mass_centre };
                 self.plans[link].shapes.push(plan);
             }
