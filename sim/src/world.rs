@@ -123,9 +123,7 @@ impl World {
                 true
             }
             Enforcer::Constraints(constraints) => {
-                constraints.observe(layout, robot, &self.physics.bodies);
-                self.physics.step_with_events(&**constraints, &());
-                constraints.complete(&self.robot, &mut self.physics)
+                constraints.step(&self.robot, &self.drives, &mut self.physics)
             }
         };
         let robot = self.physics.multibody_joints.get_multibody(layout.multibody);

@@ -274,6 +274,13 @@ impl MotorPlan {
     }
 }
 
+impl Hinge {
+    /// Whether it is a slide.
+    pub(crate) fn is_slide(&self) -> bool {
+        self.motion == Motion::Translation
+    }
+}
+
 impl LinkPlan {
     /// The hinge or slide of the link, if that is its joint.
     pub(crate) fn hinge(&self) -> Option<&Hinge> {

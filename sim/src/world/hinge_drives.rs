@@ -8,19 +8,14 @@ use rapier3d::dynamics::Multibody;
 
 use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan};
 
-/// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian. The engine
-/// also damps the hinge with this stiffness times the duration of the step.
-const WEAK_SPRING: f32 = 1e-7;
-/// The same for the published robots, of which no hinge is light.
-const PUBLISHED_SPRING: f32 = 0.01;
+/// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
+const WEAK_SPRING: f32 = 0.01;
 
 /// Torques of the hinges and their state between steps. Slides have forces instead, in newtons.
 pub(crate) struct HingeDrives {
     /// Springs of the limits, in the order of [`Layout::hinges`]; `None` if [`Constraints`](super::Constraints) enforces
     /// them.
     springs: Vec<Option<Spring>>,
-    /// Stiffness of the spring that applies torques, N m / rad.
-    weak_spring: f32,
     step_secs: f32,
     /// Motors with their controls, in the order of [`Blueprint::motors`].
     motors: Vec<(MotorPlan, f32)>,
@@ -43,6 +38,8 @@ struct Drive {
     damping: f32,
     /// Angle at the start of the step, rad.
     angle: f32,
+    /// Torque of motors, spring and limit without the damping that the step adds, N m.
+    applied: f32,
     /// Speed at the start of the step, rad/s.
     speed: f32,
     /// Acceleration in the last step without the limit's torque, rad/s^2.
@@ -69,10 +66,6 @@ impl HingeDrives {
         };
         Self {
             springs: layout.hinges.iter().map(spring).collect(),
-            weak_spring: match blueprint.law {
-                Law::Engine { .. } => PUBLISHED_SPRING,
-                Law::Constraints => WEAK_SPRING,
-            },
             step_secs,
             motors: blueprint.motors.iter().map(|motor| (motor.clone(), 0.0)).collect(),
             dampings: layout.hinges.iter().map(|hinge| hinge.plan.damping).collect(),
@@ -133,12 +126,18 @@ impl HingeDrives {
             let spring = -hinge.plan.stiffness * (angle - hinge.plan.spring_rest);
             let explicit = drive.torque + drive.damping * speed;
             let torque = explicit + spring + limit.armature * limit.reference;
+            drive.applied = torque;
             robot.armature_mut()[hinge.dof] = hinge.plan.armature + limit.armature;
             robot.damping_mut()[hinge.dof] = self.dampings[index] + drive.damping;
             let link = robot.link_mut(hinge.link).expect("the layout is this robot's");
-            let rest = at + hinge.plan.axis.sign * torque / self.weak_spring;
-            link.joint.set_spring(hinge.axis, self.weak_spring, rest);
+            let rest = at + hinge.plan.axis.sign * torque / WEAK_SPRING;
+            link.joint.set_spring(hinge.axis, WEAK_SPRING, rest);
         }
+    }
+
+    /// Torques of the hinges without damping, which is the multibody's, in the model's direction, N m.
+    pub(super) fn torques(&self) -> impl Iterator<Item = f32> {
+        self.drives.iter().map(|drive| drive.applied)
     }
 
     /// Stores the accelerations of the last physics step.

@@ -1,11 +1,13 @@
 //! Contacts as constraints: MuJoCo's friction pyramids and cones.
 
 use rapier3d::geometry::{Collider, ContactPair};
+use rapier3d::glamx::DVec3;
 use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::PhysicsWorld;
 
+use super::Rule;
+use super::motion::{LinkMotion, Motion, wide};
 use super::problem::{Kind, MOST_ROWS, Problem};
-use super::{LinkStart, Rule, Start};
 use crate::robot::{Blueprint, Cone, ContactPlan, GroundForm, Robot, ShapeTag, Surface};
 use crate::scene::Shape;
 
@@ -42,13 +44,13 @@ enum TouchForm {
 struct Contact<'a> {
     plan: ContactPlan,
     /// Links of the shapes.
-    links: [Option<&'a LinkStart>; 2],
+    links: [Option<&'a LinkMotion>; 2],
     /// Sum of the inverse masses and inertias of both bodies.
     inverse: [f64; 2],
     /// Middle between the surfaces, m.
-    point: Vector,
+    point: DVec3,
     /// Normal, from the first shape to the second, and two tangents.
-    axes: [Vector; 3],
+    axes: [DVec3; 3],
     /// Distance less the margin, m.
     position: f64,
 }
@@ -98,7 +100,7 @@ impl Touching {
         &mut self,
         blueprint: &Blueprint,
         physics: &PhysicsWorld,
-        start: &Start,
+        start: &Motion,
         problem: &mut Problem,
         rule: Rule,
     ) {
@@ -114,7 +116,7 @@ impl Touching {
         &mut self,
         blueprint: &Blueprint,
         (pair, colliders): (&ContactPair, [&Collider; 2]),
-        start: &Start,
+        start: &Motion,
         (problem, rule): (&mut Problem, Rule),
     ) {
         let tags = colliders.map(ShapeTag::of);
@@ -134,8 +136,8 @@ impl Touching {
                     plan,
                     links,
                     inverse,
-                    point: pose * point.local_p1 + normal * (0.5 * point.dist),
-                    axes: frame(normal, along),
+                    point: wide(pose * point.local_p1 + normal * (0.5 * point.dist)),
+                    axes: frame(normal, along).map(wide),
                     position: f64::from(point.dist) - f64::from(plan.margin),
                 };
                 self.normals.push(contact.add(blueprint, &start.speeds, problem, rule));
@@ -210,11 +212,11 @@ impl Contact<'_> {
                 let axis = self.axes[direction % 3];
                 let [force, torque] = match direction {
                     0..3 => [axis, (self.point - link.mass_centre).cross(axis)],
-                    _ => [Vector::ZERO, axis],
+                    _ => [DVec3::ZERO, axis],
                 };
                 let parts = force.to_array().into_iter().chain(torque.to_array());
                 for (sum, part) in wrench.iter_mut().zip(parts) {
-                    *sum += sign * factor * f64::from(part);
+                    *sum += sign * factor * part;
                 }
             }
             for (number, column) in row.iter_mut().zip(&link.jacobian) {
@@ -229,7 +231,7 @@ fn speed(problem: &Problem, speeds: &[f64]) -> f64 {
     problem.last_row().iter().zip(speeds).fold(0.0, |sum, (a, b)| sum + a * b)
 }
 
-fn pose_at_start(collider: &Collider, link: Option<&LinkStart>) -> Pose {
+fn pose_at_start(collider: &Collider, link: Option<&LinkMotion>) -> Pose {
     match (link, collider.position_wrt_parent()) {
         (Some(link), Some(inside)) => link.pose * *inside,
         _ => *collider.position(),

@@ -1,11 +1,12 @@
 //! Constraints of tendons and equalities: limits and dry friction of tendons, and equalities of joints and tendons.
 
+use super::Rule;
+use super::motion::Motion;
 use super::problem::{Kind, Problem};
-use super::{Rule, Start};
 use crate::robot::{Combination, Coupled, EqualityPlan, Layout, Robot, TendonPlan};
 
 /// Adds all constraints of a robot's tendons and equalities.
-pub(super) fn add(problem: &mut Problem, start: &Start, robot: &Robot, rule: Rule) {
+pub(super) fn add(problem: &mut Problem, start: &Motion, robot: &Robot, rule: Rule) {
     let (blueprint, layout) = (robot.blueprint(), robot.layout());
     for equality in &blueprint.equalities {
         add_equality(problem, start, (equality, robot), rule);
@@ -19,7 +20,7 @@ pub(super) fn add(problem: &mut Problem, start: &Start, robot: &Robot, rule: Rul
 /// Adds a multiple of a combination to the row that was added last. Returns its speed.
 fn fill(
     row: &mut [f64],
-    start: &Start,
+    start: &Motion,
     layout: &Layout,
     (moved, factor): (&Combination, f64),
 ) -> f64 {
@@ -32,13 +33,13 @@ fn fill(
     terms.fold(0.0, |sum, term| sum + term)
 }
 
-fn length(start: &Start, moved: &Combination) -> f64 {
+fn length(start: &Motion, moved: &Combination) -> f64 {
     moved.0.iter().fold(0.0, |sum, (hinge, part)| sum + f64::from(*part) * start.hinges[*hinge])
 }
 
 fn add_equality(
     problem: &mut Problem,
-    start: &Start,
+    start: &Motion,
     (equality, robot): (&EqualityPlan, &Robot),
     rule: Rule,
 ) {
@@ -71,7 +72,7 @@ fn add_equality(
 
 fn add_limit(
     problem: &mut Problem,
-    start: &Start,
+    start: &Motion,
     (tendon, layout, inverse): (&TendonPlan, &Layout, f64),
     rule: Rule,
 ) {
@@ -90,7 +91,7 @@ fn add_limit(
 
 fn add_friction(
     problem: &mut Problem,
-    start: &Start,
+    start: &Motion,
     (tendon, layout, inverse): (&TendonPlan, &Layout, f64),
     rule: Rule,
 ) {

@@ -136,13 +136,12 @@ impl Problem {
     /// Finds accelerations and forces.
     pub(super) fn solve(&mut self) {
         let trace: f64 = (0..self.size).map(|k| self.mass[k * self.size + k]).sum();
-        let scale = PRECISION * (trace + dot(&self.accelerations, &self.pull).abs());
         for _ in 0..MOST_STEPS {
             self.weigh();
-            self.find_step();
+            let energy = self.find_step();
             let drop = -dot(&self.work.gradient, &self.work.step);
             // Also ends the search if a number is not finite.
-            if drop.is_nan() || drop <= scale {
+            if drop.is_nan() || drop <= PRECISION * (trace + energy) {
                 return;
             }
             let length = self.length(-drop);
@@ -175,11 +174,12 @@ impl Problem {
         }
     }
 
-    /// Computes the gradient and Newton's step.
-    fn find_step(&mut self) {
+    /// Computes the gradient and Newton's step. Returns `a M a`.
+    fn find_step(&mut self) -> f64 {
         let Self { size, work, .. } = self;
         let size = *size;
         multiply(&self.mass, &self.accelerations, &mut work.gradient);
+        let energy = dot(&work.gradient, &self.accelerations);
         for (number, pull) in work.gradient.iter_mut().zip(&self.pull) {
             *number -= pull;
         }
@@ -213,6 +213,7 @@ impl Problem {
         work.step.iter_mut().for_each(|number| *number = -*number);
         factorise(&mut work.hessian, size);
         substitute(&work.hessian, &mut work.step);
+        energy
     }
 
     /// Length of the step at which the cost is least. `slope` is that of the cost at length 0, negative.
