@@ -11,11 +11,12 @@ pub(crate) mod target;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::ExitStatus;
+use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Context as _;
 use learner::store::plain_file;
+use tokio::process::{Child, Command};
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::watch;
@@ -89,6 +90,29 @@ pub(crate) fn stop_with_stdin(stop: watch::Sender<bool>) -> anyhow::Result<()> {
     let watcher = std::thread::Builder::new().name("stdin".to_owned()).spawn(until_closed);
     // No thread waits for it; it ends with the process.
     watcher.map(drop).context("cannot watch standard input")
+}
+
+/// Starts a process in a group of its own, so that Ctrl-C reaches it only through its standard input, whose end is a stop
+/// request.
+pub(crate) fn start(command: &mut Command) -> anyhow::Result<Child> {
+    let started = command.stdin(Stdio::piped()).process_group(0).spawn();
+    started.with_context(|| format!("cannot start {}", command.as_std().get_program().display()))
+}
+
+/// Waits for a process that [`start`] started. Closes its standard input when `stop` is ready, and returns `None` then.
+pub(crate) async fn until_exit(
+    child: &mut Child,
+    stop: impl Future<Output = ()>,
+) -> Option<std::io::Result<ExitStatus>> {
+    // `Child::wait` would close the pipe at once.
+    let stdin = child.stdin.take();
+    tokio::select! {
+        status = child.wait() => Some(status),
+        () = stop => {
+            drop(stdin);
+            None
+        }
+    }
 }
 
 /// The log that a process appends to, and its length when the process started.

@@ -4,7 +4,6 @@
 use std::collections::VecDeque;
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -16,7 +15,7 @@ use tokio::task::JoinSet;
 use super::PlannedRun;
 use super::run_state::{Ending, RunFolderState, is_finished, mismatch, run_state};
 use crate::figures::chart;
-use crate::process::{ProcessLog, output};
+use crate::process::{self, ProcessLog, output};
 use crate::progress::Screen;
 
 /// Poll interval for the progress of runs and for a locked log.
@@ -164,15 +163,17 @@ async fn train(
     }
     let own_log = ProcessLog::before_start(&run.log());
     let mut child = start(program, run, log)?;
-    let stdin = child.stdin.take();
     let stopped = async {
         // Without its sender no stop can come.
         if stop.wait_for(|stop| *stop).await.is_err() {
             std::future::pending::<()>().await;
         }
-        drop(stdin);
     };
-    let status = ended(&mut child, stopped).await.context("cannot wait for a run")?;
+    let status = match process::until_exit(&mut child, stopped).await {
+        Some(status) => status,
+        None => child.wait().await,
+    };
+    let status = status.context("cannot wait for a run")?;
     Ok(match (status.success(), run_state(run)) {
         (true, RunFolderState::Finished) => Ending::Finished,
         (true, _) => Ending::Stopped,
@@ -180,18 +181,6 @@ async fn train(
             Ending::Failed(format!("{}; its log is {}", own_log.cause(status), run.log().display()))
         }
     })
-}
-
-/// Waits for the end of a process, before or after the stop request.
-async fn ended(
-    child: &mut Child,
-    stopped: impl Future<Output = ()>,
-) -> std::io::Result<ExitStatus> {
-    tokio::select! {
-        status = child.wait() => return status,
-        () = stopped => {}
-    }
-    child.wait().await
 }
 
 /// The run's log, locked. The process that writes to it holds the lock until it ends. A run of an experiment that was
@@ -213,7 +202,7 @@ async fn locked_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result
     }
 }
 
-/// A process of its own group, so that Ctrl-C reaches it only through its standard input, which closes.
+/// Starts or resumes the training of a run.
 fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
     command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
@@ -222,13 +211,8 @@ fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
         // As one word, because the path may begin with `-`.
         _ => command.arg(format!("--resume={}", run.folder.display())),
     };
-    let started = command
-        .stdin(Stdio::piped())
-        .stdout(log.try_clone().context("cannot share a log")?)
-        .stderr(log)
-        .process_group(0)
-        .spawn();
-    started.with_context(|| format!("cannot start {}", program.display()))
+    command.stdout(log.try_clone().context("cannot share a log")?).stderr(log);
+    process::start(&mut command)
 }
 
 /// How far an experiment is.

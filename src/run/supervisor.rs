@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::errors::ENVIRONMENT_OUTAGE;
-use crate::process::ProcessLog;
+use crate::process::{self, ProcessLog};
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
@@ -140,25 +140,23 @@ impl Supervisor {
 }
 
 impl ActorProcesses {
-    /// Starts a process in its own group, so that Ctrl-C reaches it only through its learner.
+    /// Starts a process, which Ctrl-C reaches only through its learner.
     fn start(&self, index: usize) -> anyhow::Result<Child> {
         let log = self.log_path(index);
         let log: File =
             plain_file::append(&log).with_context(|| format!("cannot write {}", log.display()))?;
-        Command::new(&self.program)
+        let mut command = Command::new(&self.program);
+        command
             .args(["actor", "--exit-with-stdin", "--learner", &self.learner])
             .args(["--name", &format!("local-{index}")])
             .args(&self.environment)
             .args(self.log_arguments())
             // Other users can read the arguments of a process, but not its environment.
             .env(Token::VARIABLE, self.token.text())
-            .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(log)
-            .process_group(0)
-            .kill_on_drop(true)
-            .spawn()
-            .with_context(|| format!("cannot start {}", self.program.display()))
+            .kill_on_drop(true);
+        process::start(&mut command)
     }
 
     /// Arguments for trajectory logging, if it is enabled.
@@ -196,13 +194,11 @@ async fn until_exit(
     ended: &mut watch::Receiver<bool>,
     patience: Duration,
 ) -> Option<ExitStatus> {
-    // `Child::wait` would close the pipe at once, which tells the actor to end.
-    let stdin = child.stdin.take();
-    tokio::select! {
-        status = child.wait() => return status.ok(),
-        _ = ended.wait_for(|over| *over) => {}
+    // Without its sender the run has ended.
+    let over = async { drop(ended.wait_for(|over| *over).await) };
+    if let Some(status) = process::until_exit(&mut child, over).await {
+        return status.ok();
     }
-    drop(stdin);
     if tokio::time::timeout(patience, child.wait()).await.is_err() {
         // The process ignores its closed input; killing it loses nothing.
         let _killed = child.kill().await;
