@@ -3,9 +3,9 @@
 use policy::{Array, NamedArrays, arrays};
 
 /// Named arrays of the file.
-pub(crate) struct Reference(NamedArrays);
+pub(crate) struct ReferenceValues(NamedArrays);
 
-impl Reference {
+impl ReferenceValues {
     pub(crate) fn of(bytes: &[u8]) -> Self {
         Self(arrays::from_safetensors(bytes).unwrap().0)
     }

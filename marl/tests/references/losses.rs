@@ -8,14 +8,14 @@ use marl::objective::advantage::{Horizon, advantage, next_values};
 use marl::objective::surrogate::normalized_advantage;
 use marl::{Batch, Final};
 
-use crate::file::Reference;
+use crate::file::ReferenceValues;
 
-fn gaussian() -> Reference {
-    Reference::of(include_bytes!("gaussian_loss.safetensors"))
+fn gaussian() -> ReferenceValues {
+    ReferenceValues::of(include_bytes!("gaussian_loss.safetensors"))
 }
 
 /// Compares the actor's loss of the policy `p` and the posterior `q`; returns its gradient.
-fn agreeing_loss(reference: &Reference, p: &HeadRows, q: HeadRows) -> HeadRows {
+fn agreeing_loss(reference: &ReferenceValues, p: &HeadRows, q: HeadRows) -> HeadRows {
     let rows = Rows {
         action: reference.numbers("input/action"),
         log_prob_old: reference.numbers("input/log_prob_old"),
@@ -56,7 +56,7 @@ fn the_actors_loss_and_its_gradient_agree_with_pytorch() {
 
 #[test]
 fn the_actors_loss_for_choices_and_its_gradient_agree_with_pytorch() {
-    let reference = Reference::of(include_bytes!("categorical_loss.safetensors"));
+    let reference = ReferenceValues::of(include_bytes!("categorical_loss.safetensors"));
     let of = |name: &str| HeadRows::categorical(reference.numbers(name), 4);
     let gradient = agreeing_loss(&reference, &of("input/logits"), of("input/q_logits"));
     reference.expects("d_logits", &gradient.outputs);
@@ -80,7 +80,7 @@ fn the_posteriors_loss_and_its_gradient_agree_with_pytorch() {
 
 #[test]
 fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
-    let reference = Reference::of(include_bytes!("values.safetensors"));
+    let reference = ReferenceValues::of(include_bytes!("values.safetensors"));
     let (clip, delta) = (reference.setting("critic.clip"), reference.setting("critic.huber_delta"));
     let (old, target) = (reference.numbers("input/old"), reference.numbers("input/target"));
     let value = reference.numbers("input/value");
@@ -93,7 +93,7 @@ fn the_clipped_huber_loss_of_values_agrees_with_pytorch() {
 
 #[test]
 fn advantages_with_every_kind_of_end_and_the_normaliser_agree_with_pytorch() {
-    let reference = Reference::of(include_bytes!("values.safetensors"));
+    let reference = ReferenceValues::of(include_bytes!("values.safetensors"));
     let shape = reference.array("input/values").shape();
     let mut batch = Batch { steps: shape[0], environments: shape[1], ..Batch::default() };
     batch.terminated = reference.flags("input/terminated");

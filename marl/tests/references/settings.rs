@@ -4,16 +4,16 @@ use marl::config::{Rule, Sharing};
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, TrainingConfig};
 use policy::{CoreKind, PolicyConfig};
 
-use crate::file::Reference;
+use crate::file::ReferenceValues;
 use crate::fixture;
 
 pub(crate) const AGENTS: usize = 2;
 
-fn axis(reference: &Reference, name: &str, axis: usize) -> usize {
+fn axis(reference: &ReferenceValues, name: &str, axis: usize) -> usize {
     reference.array(name).shape()[axis]
 }
 
-pub(crate) fn problem(reference: &Reference) -> Problem {
+pub(crate) fn problem(reference: &ReferenceValues) -> Problem {
     let agent = |index: usize| AgentShape {
         observation: axis(reference, &format!("batch/observation_{index}"), 2),
         action: axis(reference, &format!("batch/action_{index}"), 2),
@@ -24,7 +24,7 @@ pub(crate) fn problem(reference: &Reference) -> Problem {
     Problem { agents: (0..AGENTS).map(agent).collect(), state: axis(reference, "batch/state", 2) }
 }
 
-pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
+pub(crate) fn policy(reference: &ReferenceValues, core: CoreKind) -> PolicyConfig {
     PolicyConfig {
         encoder: 5,
         hidden: 6,
@@ -38,7 +38,11 @@ pub(crate) fn policy(reference: &Reference, core: CoreKind) -> PolicyConfig {
 
 /// Surprise has a weight, so that there is a value per agent. The rewards are those of the file. MADDPG makes one
 /// optimiser step from an iteration of 50 transitions.
-pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> TrainingConfig {
+pub(crate) fn config(
+    reference: &ReferenceValues,
+    rule: Rule,
+    parameters: Sharing,
+) -> TrainingConfig {
     let number = |key: &str| reference.setting(key);
     let mut config = fixture::config(rule);
     let update = &mut config.update;
@@ -82,7 +86,7 @@ pub(crate) fn config(reference: &Reference, rule: Rule, parameters: Sharing) -> 
     config
 }
 
-pub(crate) fn batch(reference: &Reference) -> Batch {
+pub(crate) fn batch(reference: &ReferenceValues) -> Batch {
     let agent = |index: usize| AgentBatch {
         observation: reference.single(&format!("batch/observation_{index}")),
         action: reference.single(&format!("batch/action_{index}")),
@@ -106,7 +110,7 @@ pub(crate) fn batch(reference: &Reference) -> Batch {
 }
 
 /// State and observations after row `row`.
-fn last(reference: &Reference, row: usize, environments: usize) -> Final {
+fn last(reference: &ReferenceValues, row: usize, environments: usize) -> Final {
     let part = |name: &str| {
         let width = axis(reference, name, 2);
         reference.single(name)[row * width..(row + 1) * width].to_vec()

@@ -4,7 +4,7 @@ use marl::config::{CriticCore, Rule, Sharing};
 use marl::{Algorithm, Report, build};
 use policy::{Array, CoreKind, NamedArrays, RunSeed};
 
-use crate::file::{Reference, agree, numbers};
+use crate::file::{ReferenceValues, agree, numbers};
 use crate::settings::{AGENTS, batch, config, policy, problem};
 
 /// With this seed the first sweep has the order of the references.
@@ -62,7 +62,7 @@ const CASES: [Case; 5] = [
 ];
 
 /// The file's initial arrays in the algorithm's types. Arrays that the file does not contain are the algorithm's.
-fn start(reference: &Reference, algorithm: &mut dyn Algorithm) -> NamedArrays {
+fn start(reference: &ReferenceValues, algorithm: &mut dyn Algorithm) -> NamedArrays {
     let mut arrays = algorithm.arrays().unwrap();
     for (name, array) in reference.under("start/") {
         if name.starts_with("memory/") {
@@ -83,7 +83,7 @@ fn start(reference: &Reference, algorithm: &mut dyn Algorithm) -> NamedArrays {
     arrays
 }
 
-fn updated(reference: &Reference, case: Case) -> (NamedArrays, Report) {
+fn updated(reference: &ReferenceValues, case: Case) -> (NamedArrays, Report) {
     let (problem, policy) = (problem(reference), policy(reference, case.core));
     let mut config = config(reference, case.rule.0, case.rule.1);
     config.critic.core = case.critic;
@@ -106,7 +106,7 @@ const OTHERS: f64 = 5e-5;
 #[test]
 fn whole_updates_agree_with_pytorch_in_every_array() {
     for case in CASES {
-        let reference = Reference::of(case.file);
+        let reference = ReferenceValues::of(case.file);
         let (arrays, report) = updated(&reference, case);
         let expected = reference.under("expected/");
         for (name, expected) in &expected {

@@ -11,7 +11,7 @@ pub(crate) struct Neighbourhood {
     /// Joints of an edge have distance 1 from each other.
     pub(crate) edges: Vec<Vec<String>>,
     /// Bodies of the model whose contact forces belong to a joint.
-    pub(crate) touching: Vec<Touching>,
+    pub(crate) touching: Vec<JointBodies>,
     /// Features of the global state that describe the root.
     pub(crate) globals: Vec<String>,
 }
@@ -19,7 +19,7 @@ pub(crate) struct Neighbourhood {
 /// Bodies of a joint.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Touching {
+pub(crate) struct JointBodies {
     pub(crate) joint: String,
     pub(crate) bodies: Vec<String>,
 }

@@ -22,7 +22,7 @@ use super::{HingeDrives, place};
 use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, ShapeTag, Softness};
 use contacts::Touching;
 use motion::{Motion, move_joint};
-use problem::{Kind, Problem};
+use problem::{ConstraintProblem, Kind};
 
 /// The constraints of one robot, and memory for a step.
 pub(crate) struct Constraints {
@@ -30,7 +30,7 @@ pub(crate) struct Constraints {
     step_secs: f64,
     touching: Touching,
     start: Motion,
-    problem: Problem,
+    problem: ConstraintProblem,
     /// Mass matrix plus the damping in a step.
     implicit_mass: Vec<f64>,
     /// Change of the velocities in the step.
@@ -47,7 +47,7 @@ impl Constraints {
             step_secs: f64::from(step_secs),
             touching: Touching::new(robot),
             start: Motion::default(),
-            problem: Problem::default(),
+            problem: ConstraintProblem::default(),
             implicit_mass: Vec::new(),
             change: Vec::new(),
             normal_impulse: 0.0,
@@ -164,7 +164,13 @@ impl Rule {
 }
 
 /// Adds the ends of a hinge's range that it has passed.
-fn add_limit(problem: &mut Problem, speeds: &[f64], hinge: &HingeMap, position: f64, rule: Rule) {
+fn add_limit(
+    problem: &mut ConstraintProblem,
+    speeds: &[f64],
+    hinge: &HingeMap,
+    position: f64,
+    rule: Rule,
+) {
     let Some(range) = hinge.plan.range else { return };
     let margin = f64::from(hinge.plan.margin);
     let [low, high] = range.map(f64::from);
@@ -182,7 +188,7 @@ fn add_limit(problem: &mut Problem, speeds: &[f64], hinge: &HingeMap, position: 
     }
 }
 
-fn add_dry_friction(problem: &mut Problem, speeds: &[f64], hinge: &HingeMap, rule: Rule) {
+fn add_dry_friction(problem: &mut ConstraintProblem, speeds: &[f64], hinge: &HingeMap, rule: Rule) {
     if hinge.plan.friction <= 0.0 {
         return;
     }
@@ -195,7 +201,12 @@ fn add_dry_friction(problem: &mut Problem, speeds: &[f64], hinge: &HingeMap, rul
 }
 
 /// Adds the dry friction of a free root: along the axes of the world, and about those of the link.
-fn add_free_friction(problem: &mut Problem, start: &Motion, free: &FreeFriction, rule: Rule) {
+fn add_free_friction(
+    problem: &mut ConstraintProblem,
+    start: &Motion,
+    free: &FreeFriction,
+    rule: Rule,
+) {
     let softness = &free.plan.friction_softness;
     let turn = start.links[free.link].pose.rotation;
     let axes = [Vector::X, Vector::Y, Vector::Z];

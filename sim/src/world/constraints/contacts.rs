@@ -7,7 +7,7 @@ use rapier3d::prelude::PhysicsWorld;
 
 use super::Rule;
 use super::motion::{LinkMotion, Motion, wide};
-use super::problem::{Kind, MOST_ROWS, Problem};
+use super::problem::{ConstraintProblem, Kind, MOST_ROWS};
 use crate::robot::{Blueprint, Cone, ContactPlan, GroundForm, Robot, ShapeTag, Surface};
 use crate::scene::Shape;
 
@@ -101,7 +101,7 @@ impl Touching {
         blueprint: &Blueprint,
         physics: &PhysicsWorld,
         start: &Motion,
-        problem: &mut Problem,
+        problem: &mut ConstraintProblem,
         rule: Rule,
     ) {
         self.normals.clear();
@@ -117,7 +117,7 @@ impl Touching {
         blueprint: &Blueprint,
         (pair, colliders): (&ContactPair, [&Collider; 2]),
         start: &Motion,
-        (problem, rule): (&mut Problem, Rule),
+        (problem, rule): (&mut ConstraintProblem, Rule),
     ) {
         let tags = colliders.map(ShapeTag::of);
         let shapes = tags.map(|tag| &self.shapes[tag.shape]);
@@ -159,7 +159,7 @@ impl Contact<'_> {
         &self,
         blueprint: &Blueprint,
         speeds: &[f64],
-        problem: &mut Problem,
+        problem: &mut ConstraintProblem,
         rule: Rule,
     ) -> (usize, usize) {
         let softness = &self.plan.softness;
@@ -227,7 +227,7 @@ impl Contact<'_> {
 }
 
 /// Speed along the row that was added last.
-fn speed(problem: &Problem, speeds: &[f64]) -> f64 {
+fn speed(problem: &ConstraintProblem, speeds: &[f64]) -> f64 {
     problem.last_row().iter().zip(speeds).fold(0.0, |sum, (a, b)| sum + a * b)
 }
 

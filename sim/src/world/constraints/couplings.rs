@@ -2,11 +2,11 @@
 
 use super::Rule;
 use super::motion::Motion;
-use super::problem::{Kind, Problem};
+use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{Combination, Coupled, EqualityPlan, Layout, Robot, TendonPlan};
 
 /// Adds all constraints of a robot's tendons and equalities.
-pub(super) fn add(problem: &mut Problem, start: &Motion, robot: &Robot, rule: Rule) {
+pub(super) fn add(problem: &mut ConstraintProblem, start: &Motion, robot: &Robot, rule: Rule) {
     let (blueprint, layout) = (robot.blueprint(), robot.layout());
     for equality in &blueprint.equalities {
         add_equality(problem, start, (equality, robot), rule);
@@ -38,7 +38,7 @@ fn length(start: &Motion, moved: &Combination) -> f64 {
 }
 
 fn add_equality(
-    problem: &mut Problem,
+    problem: &mut ConstraintProblem,
     start: &Motion,
     (equality, robot): (&EqualityPlan, &Robot),
     rule: Rule,
@@ -71,7 +71,7 @@ fn add_equality(
 }
 
 fn add_limit(
-    problem: &mut Problem,
+    problem: &mut ConstraintProblem,
     start: &Motion,
     (tendon, layout, inverse): (&TendonPlan, &Layout, f64),
     rule: Rule,
@@ -90,7 +90,7 @@ fn add_limit(
 }
 
 fn add_friction(
-    problem: &mut Problem,
+    problem: &mut ConstraintProblem,
     start: &Motion,
     (tendon, layout, inverse): (&TendonPlan, &Layout, f64),
     rule: Rule,

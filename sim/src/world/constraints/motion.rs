@@ -4,7 +4,7 @@ use rapier3d::dynamics::{Multibody, MultibodyJoint, RigidBodySet};
 use rapier3d::glamx::{DMat3, DQuat, DVec3};
 use rapier3d::math::{Pose, Vector};
 
-use super::problem::Problem;
+use super::problem::ConstraintProblem;
 use crate::robot::{Blueprint, JointMap, JointPlan, Layout, LinkPlan, MapKind};
 
 /// The motion at the start of a step. Velocities have the order of the multibody.
@@ -65,7 +65,7 @@ impl Motion {
     }
 
     /// Writes the mass matrix with armature, and the forces of gravity, of the rotation of the links and from outside.
-    pub(super) fn write(&self, multibody: &Multibody, problem: &mut Problem) {
+    pub(super) fn write(&self, multibody: &Multibody, problem: &mut ConstraintProblem) {
         let size = self.speeds.len();
         for link in self.links.iter().filter(|link| link.mass > 0.0) {
             link.add_mass(&mut problem.mass);

@@ -52,7 +52,7 @@ enum Zone {
 
 /// A problem with its solution, and memory for the next.
 #[derive(Debug, Default)]
-pub(super) struct Problem {
+pub(super) struct ConstraintProblem {
     /// Number of accelerations.
     size: usize,
     /// `M` by rows, of which only the lower half is read.
@@ -82,7 +82,7 @@ struct Work {
     hessian: Vec<f64>,
 }
 
-impl Problem {
+impl ConstraintProblem {
     /// Starts a problem with `size` accelerations, all of whose numbers are 0, and no constraints.
     pub(super) fn clear(&mut self, size: usize) {
         self.size = size;
