@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use crate::read::{digest, process, required, short_name, unknown};
+use crate::read::{array, digest, required, short_name, unknown};
 use crate::{
     ActorId, Digest, EnvironmentSpec, Incarnation, Lease, LeaseId, ProcessId, Reason, Refusal,
     RunDescription, WeightsName, wire,
@@ -53,13 +53,14 @@ impl Registration {
         let environment = required(wire.environment, "environment")?;
         let fingerprint =
             wire.rollout_fingerprint.map(|bytes| digest(&bytes, "rollout_fingerprint"));
+        let process = wire.process.map(|bytes| array(&bytes, "an id of a process", "process"));
         Ok(Self {
             client: wire.client,
             build: wire.build,
             protocol_version: wire.protocol_version,
             environment: EnvironmentSpec::from_wire(environment, "environment")?,
             rollout_fingerprint: fingerprint.transpose()?,
-            process: wire.process.map(|bytes| process(&bytes, "process")).transpose()?,
+            process: process.transpose()?.map(ProcessId),
         })
     }
 

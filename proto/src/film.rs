@@ -1,7 +1,7 @@
 //! Poses of a robot in an evaluation episode, for display only. Only size and format are validated.
 
 use crate::read::{bad_value, from_1_to, length};
-use crate::tensor::{Floats, floats};
+use crate::tensor::{floats, read_floats};
 use crate::{Refusal, RunDescription, wire};
 
 /// Maximum number of frames.
@@ -53,7 +53,10 @@ impl Film {
         from_1_to(MAX_CAPSULES, capsules, "capsules", "film.radii")?;
         length(wire.drivers.len(), capsules, "film.drivers")?;
         let shape = [frames, capsules, COORDINATES];
-        let ends = Floats::check(wire.ends.as_ref(), &shape, "film.ends".to_owned())?;
+        let ends = read_floats(wire.ends.as_ref(), &shape, "film.ends")?;
+        if !ends.iter().all(|metres| metres.abs() <= MAX_DISTANCE) {
+            return Err(bad_value("film.ends", format!("expected at most {MAX_DISTANCE} m")));
+        }
         let agents = run.environment.agents.len() as u32;
         if wire.drivers.iter().any(|driver| *driver > agents) {
             return Err(bad_value("film.drivers", format!("expected 0 to {agents}")));
@@ -72,16 +75,7 @@ impl Film {
                 .iter()
                 .map(|driver| driver.checked_sub(1).map(|i| i as usize))
                 .collect(),
-            ends: within_distance(ends.decode()?)?,
+            ends,
         })
-    }
-}
-
-/// Rejects capsules too far away to be drawn.
-fn within_distance(ends: Vec<f32>) -> Result<Vec<f32>, Refusal> {
-    if ends.iter().all(|metres| metres.abs() <= MAX_DISTANCE) {
-        Ok(ends)
-    } else {
-        Err(bad_value("film.ends", format!("expected at most {MAX_DISTANCE} m")))
     }
 }

@@ -4,7 +4,7 @@
 use std::borrow::Cow;
 
 use crate::sizes::Sizes;
-use crate::tensor::{self, Floats};
+use crate::tensor;
 use crate::{FeatureRole, FeatureSpec, Reason, Refusal, wire};
 
 /// Leaves out the observations that [`restored`] gives back bit for bit.
@@ -97,8 +97,9 @@ impl Observations<'_> {
                 Refusal::new(Reason::MissingField, field(i), detail)
             })?;
             let shape = [self.rows, &[copies.width]].concat();
-            let source = Floats::check(first.as_ref().or(state), &shape, source_field.clone())?;
-            **tensor = copies.tensor(self.rows, source.bytes());
+            let source = first.as_ref().or(state);
+            let source = tensor::bytes(source, wire::DataType::F32, &shape, &source_field)?;
+            **tensor = copies.tensor(self.rows, source);
         }
         Ok(())
     }

@@ -2,8 +2,8 @@
 
 use bytes::Bytes;
 
-use crate::read::{bad_value, from_1_to, length, required};
-use crate::tensor::{self, Flags, Floats};
+use crate::read::{array, bad_value, from_1_to, length, required};
+use crate::tensor::{self, read_flags, read_floats};
 use crate::wire::play_request::Request;
 use crate::wire::play_response::Answer;
 use crate::{EnvironmentSpec, Reason, Refusal, wire};
@@ -79,7 +79,10 @@ impl PlayRequest {
             }
             Self::Step { environments, actions } => Request::Step(wire::StepEnvironments {
                 environments: environments.clone(),
-                actions: actions.iter().map(|rows| stacked(environments.len(), rows)).collect(),
+                actions: actions
+                    .iter()
+                    .map(|rows| tensor::in_rows(&[environments.len()], rows))
+                    .collect(),
             }),
         };
         wire::PlayRequest { request: Some(request) }
@@ -92,9 +95,7 @@ impl PlayRequest {
     pub fn from_wire(wire: &wire::PlayRequest, spec: &EnvironmentSpec) -> Result<Self, Refusal> {
         Ok(match required(wire.request.as_ref(), "request")? {
             Request::Reset(reset) => {
-                let detail = format!("{} bytes, a seed has 32", reset.seed.len());
-                let wrong = |_| bad_value("reset.seed", detail);
-                let seed = reset.seed.as_ref().try_into().map_err(wrong)?;
+                let seed = array(&reset.seed, "a seed", "reset.seed")?;
                 Self::Reset { environment: reset.environment, seed }
             }
             Request::Restore(restore) => {
@@ -132,8 +133,12 @@ impl View {
 
     fn message(&self, count: usize) -> wire::EnvironmentsView {
         wire::EnvironmentsView {
-            observations: self.observations.iter().map(|rows| stacked(count, rows)).collect(),
-            state: Some(stacked(count, &self.state)),
+            observations: self
+                .observations
+                .iter()
+                .map(|rows| tensor::in_rows(&[count], rows))
+                .collect(),
+            state: Some(tensor::in_rows(&[count], &self.state)),
         }
     }
 
@@ -147,8 +152,8 @@ impl View {
         let observations =
             columns(&wire.observations, count, sizes, &format!("{field}.observations"))?;
         let shape = [count, spec.state.len()];
-        let state = Floats::check(wire.state.as_ref(), &shape, format!("{field}.state"))?;
-        Ok(Self { observations, state: state.decode()? })
+        let state = read_floats(wire.state.as_ref(), &shape, &format!("{field}.state"))?;
+        Ok(Self { observations, state })
     }
 }
 
@@ -180,19 +185,12 @@ impl Steps {
             Some(Answer::Steps(steps)) => steps,
             other => return Err(other_answer(other.as_ref(), "steps")),
         };
-        let reward = Floats::check(wire.reward.as_ref(), &[count], "steps.reward".into())?;
-        let terminated = Flags::check(wire.terminated.as_ref(), &[count], "steps.terminated")?;
-        let truncated = Flags::check(wire.truncated.as_ref(), &[count], "steps.truncated")?;
+        let view = required(wire.view.as_ref(), "steps.view")?;
         let steps = Self {
-            view: View::read(
-                required(wire.view.as_ref(), "steps.view")?,
-                spec,
-                count,
-                "steps.view",
-            )?,
-            reward: reward.decode()?,
-            terminated: terminated.decode()?,
-            truncated: truncated.decode()?,
+            view: View::read(view, spec, count, "steps.view")?,
+            reward: read_floats(wire.reward.as_ref(), &[count], "steps.reward")?,
+            terminated: read_flags(wire.terminated.as_ref(), &[count], "steps.terminated")?,
+            truncated: read_flags(wire.truncated.as_ref(), &[count], "steps.truncated")?,
         };
         let mut flags = steps.terminated.iter().zip(&steps.truncated);
         match flags.position(|(terminated, truncated)| *terminated && *truncated) {
@@ -237,20 +235,11 @@ fn columns<'a>(
 ) -> Result<Vec<Vec<f32>>, Refusal> {
     length(tensors.len(), sizes.len(), field)?;
     let checked = tensors.iter().zip(sizes).enumerate().map(|(i, (tensor, (agent, size)))| {
-        let floats = Floats::check(Some(tensor), &[count, size], format!("{field}[{i}]"));
         let named = |refusal: Refusal| {
-            Refusal::new(
-                refusal.reason,
-                refusal.field,
-                format!("{}, agent {agent}", refusal.detail),
-            )
+            let detail = format!("{}, agent {agent}", refusal.detail);
+            Refusal::new(refusal.reason, refusal.field, detail)
         };
-        floats.and_then(|floats| floats.decode()).map_err(named)
+        read_floats(Some(tensor), &[count, size], &format!("{field}[{i}]")).map_err(named)
     });
     checked.collect()
-}
-
-/// A tensor `[count, width]` from concatenated rows of equal length.
-fn stacked(count: usize, rows: &[f32]) -> wire::Tensor {
-    tensor::floats(&[count, rows.len() / count.max(1)], rows)
 }

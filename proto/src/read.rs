@@ -1,6 +1,6 @@
 //! Checks of single fields of received messages; errors name the field.
 
-use crate::{Digest, ProcessId, Reason, Refusal, name};
+use crate::{Digest, Reason, Refusal, name};
 
 /// A required submessage.
 pub(crate) fn required<T>(value: Option<T>, field: &str) -> Result<T, Refusal> {
@@ -14,16 +14,17 @@ pub(crate) fn short_name(name: &str, field: &str) -> Result<(), Refusal> {
 
 /// Exactly 32 bytes.
 pub(crate) fn digest(bytes: &[u8], field: &str) -> Result<Digest, Refusal> {
-    let found = bytes.len();
-    let wrong = |_| bad_value(field, format!("{found} bytes, a SHA-256 has 32"));
-    bytes.try_into().map(Digest).map_err(wrong)
+    array(bytes, "a SHA-256", field).map(Digest)
 }
 
-/// Exactly 16 bytes.
-pub(crate) fn process(bytes: &[u8], field: &str) -> Result<ProcessId, Refusal> {
+/// Exactly `N` bytes, which `what` has.
+pub(crate) fn array<const N: usize>(
+    bytes: &[u8],
+    what: &str,
+    field: &str,
+) -> Result<[u8; N], Refusal> {
     let found = bytes.len();
-    let wrong = |_| bad_value(field, format!("{found} bytes, an id of a process has 16"));
-    bytes.try_into().map(ProcessId).map_err(wrong)
+    bytes.try_into().map_err(|_| bad_value(field, format!("{found} bytes, {what} has {N}")))
 }
 
 /// Checks the length of a list.

@@ -74,7 +74,7 @@ impl RunDescription {
         length(self.hidden_sizes.len(), agents, "run.hidden_sizes")?;
         divides(self.hidden_every, self.chunk_steps, "run.hidden_every")?;
         seconds(self.heartbeat_secs, "run.heartbeat_secs")?;
-        fits(self.max_chunk_bytes(), "run.chunk_steps")?;
+        fits(self.largest_message_bytes(), "run.chunk_steps")?;
         fits(self.max_boundary_bytes(), "run.environments_per_slot")
     }
 
@@ -85,12 +85,8 @@ impl RunDescription {
     /// overflows.
     #[must_use]
     pub fn largest_message_bytes(&self) -> Option<u64> {
-        // The largest chunk has the states of the slot's end, which are as large as those of a lease.
-        self.max_chunk_bytes()
-    }
-
-    /// Bytes of the largest chunk: every step ends an episode.
-    fn max_chunk_bytes(&self) -> Option<u64> {
+        // It is a chunk in which every step ends an episode. It has the states of the slot's end, which are as large as
+        // those of a lease.
         let [mut observed, mut acted] = [self.environment.state.len() as u64, 2];
         for agent in &self.environment.agents {
             observed = observed.checked_add(agent.observation.len() as u64)?;

@@ -1,4 +1,4 @@
-//! Tensors in messages: checks of type, shape and length, and, only after that, decoding.
+//! Tensors in messages. Type, shape and length are checked before values are decoded.
 
 use std::fmt::{Display, LowerExp};
 
@@ -29,6 +29,12 @@ pub(crate) fn floats(shape: &[usize], values: &[f32]) -> wire::Tensor {
     tensor(wire::DataType::F32, shape, data)
 }
 
+/// Floats as a tensor whose last axis follows from the others, `rows`.
+pub(crate) fn in_rows(rows: &[usize], values: &[f32]) -> wire::Tensor {
+    let width = values.len() / rows.iter().product::<usize>().max(1);
+    floats(&[rows, &[width]].concat(), values)
+}
+
 /// Encoded floats as a tensor of `shape`.
 pub(crate) fn encoded(shape: &[usize], data: Vec<u8>) -> wire::Tensor {
     tensor(wire::DataType::F32, shape, data)
@@ -46,70 +52,37 @@ fn tensor(data_type: wire::DataType, shape: &[usize], data: Vec<u8>) -> wire::Te
     wire::Tensor { data_type: data_type.into(), shape, data: Bytes::from(data) }
 }
 
-/// A float tensor with checked type, shape and length, and unchecked values.
-pub(crate) struct Floats<'a> {
-    data: &'a [u8],
-    field: String,
-}
-
-impl<'a> Floats<'a> {
-    /// Checks type, shape and length, without allocating.
-    pub(crate) fn check(
-        tensor: Option<&'a wire::Tensor>,
-        shape: &[usize],
-        field: String,
-    ) -> Result<Self, Refusal> {
-        let data = checked(tensor, wire::DataType::F32, shape, &field)?;
-        Ok(Self { data, field })
-    }
-
-    /// The encoded values.
-    pub(crate) fn bytes(&self) -> &'a [u8] {
-        self.data
-    }
-
-    /// Decodes the values and checks that they are finite and at most [`MAX_MAGNITUDE`].
-    pub(crate) fn decode(&self) -> Result<Vec<f32>, Refusal> {
-        let bytes = self.data.as_chunks::<4>().0.iter();
-        let values = bytes.map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
-        let sane = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
-        match values.iter().position(|value| !sane.contains(value)) {
-            None => Ok(values),
-            Some(at) => {
-                let what = format!("element {at} is");
-                Err(unusable(&self.field, &what, values[at], MAX_MAGNITUDE))
-            }
-        }
+/// The values of a float tensor of `shape`: finite, and at most [`MAX_MAGNITUDE`].
+pub(crate) fn read_floats(
+    tensor: Option<&wire::Tensor>,
+    shape: &[usize],
+    field: &str,
+) -> Result<Vec<f32>, Refusal> {
+    let bytes = bytes(tensor, wire::DataType::F32, shape, field)?.as_chunks::<4>().0.iter();
+    let values = bytes.map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
+    let sane = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
+    match values.iter().position(|value| !sane.contains(value)) {
+        None => Ok(values),
+        Some(at) => Err(unusable(field, &format!("element {at} is"), values[at], MAX_MAGNITUDE)),
     }
 }
 
-/// A flag tensor with checked type, shape and length.
-pub(crate) struct Flags<'a> {
-    data: &'a [u8],
-    field: &'static str,
+/// The values of a tensor of flags of `shape`.
+pub(crate) fn read_flags(
+    tensor: Option<&wire::Tensor>,
+    shape: &[usize],
+    field: &str,
+) -> Result<Vec<bool>, Refusal> {
+    let bytes = bytes(tensor, wire::DataType::Bool, shape, field)?;
+    if let Some(at) = bytes.iter().position(|byte| *byte > 1) {
+        let detail = format!("element {at} is {}, a flag is 0 or 1", bytes[at]);
+        return Err(Refusal::new(Reason::BadValue, field, detail));
+    }
+    Ok(bytes.iter().map(|byte| *byte == 1).collect())
 }
 
-impl<'a> Flags<'a> {
-    /// Checks type, shape and length, without allocating.
-    pub(crate) fn check(
-        tensor: Option<&'a wire::Tensor>,
-        shape: &[usize],
-        field: &'static str,
-    ) -> Result<Self, Refusal> {
-        Ok(Self { data: checked(tensor, wire::DataType::Bool, shape, field)?, field })
-    }
-
-    /// Decodes the values and checks that each byte is 0 or 1.
-    pub(crate) fn decode(&self) -> Result<Vec<bool>, Refusal> {
-        if let Some(at) = self.data.iter().position(|byte| *byte > 1) {
-            let detail = format!("element {at} is {}, a flag is 0 or 1", self.data[at]);
-            return Err(Refusal::new(Reason::BadValue, self.field, detail));
-        }
-        Ok(self.data.iter().map(|byte| *byte == 1).collect())
-    }
-}
-
-fn checked<'a>(
+/// The encoded values of a tensor with this type, shape and length, which are checked without an allocation.
+pub(crate) fn bytes<'a>(
     tensor: Option<&'a wire::Tensor>,
     data_type: wire::DataType,
     shape: &[usize],

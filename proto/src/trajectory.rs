@@ -82,7 +82,7 @@ impl TrajectoryChunk {
     /// SHA-256 over the canonical bytes that `trajectory.proto` documents. It covers the slot and values, not shapes.
     #[must_use]
     pub fn digest(&self, origin: &RolloutOrigin) -> Digest {
-        digest::of_chunk(&self.message(&Shapes::unknown(self)), origin)
+        digest::of_chunk(&self.message(self.steps), origin)
     }
 
     /// The message for it, without the observations that the learner restores, and its digest as a chunk of the slot
@@ -97,7 +97,10 @@ impl TrajectoryChunk {
         origin: &RolloutOrigin,
     ) -> (wire::TrajectoryChunk, Digest) {
         let sizes = Sizes::of(run, origin);
-        let mut message = self.message(&Shapes::of(&sizes, self));
+        let (t, e) = (sizes.steps, sizes.environments);
+        assert_eq!(self.agents.len(), sizes.agents(), "the chunk's agents are not the run's");
+        assert_eq!(self.reward.len(), t * e, "the chunk's rewards are not [{t}, {e}]");
+        let mut message = self.message(run.hidden_every);
         let digest = digest::of_chunk(&message, origin);
         if run.restores_observations {
             left_out::leave_out(&mut message, &sizes);
@@ -105,71 +108,56 @@ impl TrajectoryChunk {
         (message, digest)
     }
 
-    fn message(&self, shapes: &Shapes) -> wire::TrajectoryChunk {
-        let rows = &shapes.rows;
-        let agents = self.agents.iter().zip(&shapes.agents);
+    /// The message, with the recurrent states of every `hidden_every`th step.
+    fn message(&self, hidden_every: u32) -> wire::TrajectoryChunk {
+        let rows = [self.steps as usize, self.reward.len() / self.steps as usize];
+        let stored = [(self.steps / hidden_every) as usize, rows[1]];
+        let agent = |agent: &AgentChunk| wire::AgentChunk {
+            observation: Some(tensor::in_rows(&rows, &agent.observation)),
+            action: Some(tensor::in_rows(&rows, &agent.action)),
+            log_prob: Some(tensor::floats(&rows, &agent.log_prob)),
+            hidden: Some(tensor::in_rows(&stored, &agent.hidden)),
+        };
         wire::TrajectoryChunk {
             sequence: self.sequence,
             first_step: self.first_step,
             steps: self.steps,
-            agents: agents.map(|(agent, shapes)| agent.message(rows, shapes)).collect(),
-            state: Some(tensor::floats(&shapes.state, &self.state)),
-            reward: Some(tensor::floats(rows, &self.reward)),
-            terminated: Some(tensor::flags(rows, &self.terminated)),
-            truncated: Some(tensor::flags(rows, &self.truncated)),
+            agents: self.agents.iter().map(agent).collect(),
+            state: Some(tensor::in_rows(&rows, &self.state)),
+            reward: Some(tensor::floats(&rows, &self.reward)),
+            terminated: Some(tensor::flags(&rows, &self.terminated)),
+            truncated: Some(tensor::flags(&rows, &self.truncated)),
             finals: Some(self.finals_message()),
             end: self.end.as_ref().map(SlotEnd::message),
         }
     }
 
     fn finals_message(&self) -> wire::FinalSteps {
-        let count = self.finals.len();
-        let observation = |agent: usize| {
-            let rows = self.finals.iter().map(|last| last.observation[agent].as_slice());
-            stacked(count, rows)
+        let rows = [self.finals.len()];
+        let stacked = |of: &dyn Fn(&FinalStep) -> Vec<f32>| {
+            tensor::in_rows(&rows, &self.finals.iter().flat_map(of).collect::<Vec<_>>())
         };
+        let observation = |agent: usize| stacked(&|last| last.observation[agent].clone());
         let agents = self.finals.first().map_or(0, |last| last.observation.len());
         wire::FinalSteps {
             steps: self.finals.iter().map(|last| last.step).collect(),
             environments: self.finals.iter().map(|last| last.environment).collect(),
-            state: Some(stacked(count, self.finals.iter().map(|last| last.state.as_slice()))),
+            state: Some(stacked(&|last| last.state.clone())),
             observations: (0..agents).map(observation).collect(),
-        }
-    }
-}
-
-/// A tensor `[count, width]` from rows of equal length; `[0]` without rows.
-fn stacked<'a>(count: usize, rows: impl Iterator<Item = &'a [f32]>) -> wire::Tensor {
-    let values = rows.flatten().copied().collect::<Vec<_>>();
-    match count {
-        0 => tensor::floats(&[0], &values),
-        _ => tensor::floats(&[count, values.len() / count], &values),
-    }
-}
-
-impl AgentChunk {
-    fn message(&self, rows: &[usize], shapes: &[Vec<usize>; 3]) -> wire::AgentChunk {
-        let [observation, action, hidden] = shapes;
-        wire::AgentChunk {
-            observation: Some(tensor::floats(observation, &self.observation)),
-            action: Some(tensor::floats(action, &self.action)),
-            log_prob: Some(tensor::floats(rows, &self.log_prob)),
-            hidden: Some(tensor::floats(hidden, &self.hidden)),
         }
     }
 }
 
 impl SlotEnd {
     fn message(&self) -> wire::SlotEnd {
-        let count = self.environments.len();
-        let recurrent = |all: &Vec<f32>| tensor::floats(&[count, all.len() / count.max(1)], all);
+        let rows = [self.environments.len()];
         wire::SlotEnd {
             environments: self
                 .environments
                 .iter()
                 .map(|state| Bytes::copy_from_slice(state))
                 .collect(),
-            recurrent: self.recurrent.iter().map(recurrent).collect(),
+            recurrent: self.recurrent.iter().map(|all| tensor::in_rows(&rows, all)).collect(),
         }
     }
 }
@@ -186,35 +174,5 @@ impl EvaluationResult {
     pub fn to_wire(&self) -> wire::EvaluationResult {
         let Self { episode, extrinsic_return, steps } = *self;
         wire::EvaluationResult { episode, extrinsic_return, steps }
-    }
-}
-
-/// Shapes of a chunk's tensors; for each agent: observation, action, hidden.
-struct Shapes {
-    rows: Vec<usize>,
-    state: Vec<usize>,
-    agents: Vec<[Vec<usize>; 3]>,
-}
-
-impl Shapes {
-    fn of(sizes: &Sizes<'_>, chunk: &TrajectoryChunk) -> Self {
-        let (t, e) = (sizes.steps, sizes.environments);
-        assert_eq!(chunk.agents.len(), sizes.agents(), "the chunk's agents are not the run's");
-        assert_eq!(chunk.reward.len(), t * e, "the chunk's rewards are not [{t}, {e}]");
-        let agent = |i| {
-            let hidden = vec![sizes.stored(), e, sizes.hidden(i)];
-            [vec![t, e, sizes.observation(i)], vec![t, e, sizes.action(i)], hidden]
-        };
-        let agents = (0..sizes.agents()).map(agent).collect();
-        Self { rows: vec![t, e], state: vec![t, e, sizes.state], agents }
-    }
-
-    /// One axis each, sufficient for the digest, which covers only values.
-    fn unknown(chunk: &TrajectoryChunk) -> Self {
-        let agent = |agent: &AgentChunk| {
-            [vec![agent.observation.len()], vec![agent.action.len()], vec![agent.hidden.len()]]
-        };
-        let agents = chunk.agents.iter().map(agent).collect();
-        Self { rows: vec![chunk.reward.len()], state: vec![chunk.state.len()], agents }
     }
 }

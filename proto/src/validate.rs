@@ -1,13 +1,12 @@
 //! The only validation of pushed results, in a fixed order: counters; observations that were left out, which are restored;
-//! types, shapes and lengths of every tensor; digest. Only then is other memory allocated and are values checked: they are
-//! finite, choices exist, flags are consistent, and final steps and end states are exactly where required. Later code does
-//! not repeat these checks.
+//! digest; types, shapes, lengths and values of every tensor. Values are finite, choices exist, flags are consistent, and
+//! final steps and end states are exactly where required. Later code does not repeat these checks.
 
 mod acting;
 
 use crate::read::{bad_value, equal, from_1_to, length, required};
 use crate::sizes::Sizes;
-use crate::tensor::{Flags, Floats, MAX_MAGNITUDE, unusable};
+use crate::tensor::{MAX_MAGNITUDE, read_flags, read_floats, unusable};
 use crate::work::state_size;
 use crate::{
     AgentChunk, Digest, EvaluationResult, FinalStep, Reason, Refusal, RolloutOrigin,
@@ -29,9 +28,8 @@ impl TrajectoryChunk {
         let sizes = Sizes::of(run, origin);
         let last = check_counters(wire, run)?;
         let whole = left_out::restored(wire, &sizes)?;
-        let shaped = Shaped::check(&whole, &sizes, last)?;
         same_digest(digest::of_chunk(&whole, origin), claimed)?;
-        let chunk = shaped.decode(wire)?;
+        let chunk = read_chunk(&whole, &sizes, last)?;
         check_choices(&chunk, run)?;
         check_flags(&chunk, sizes.environments)?;
         check_finals(&chunk, &sizes, last)?;
@@ -91,167 +89,99 @@ fn same_digest(found: Digest, claimed: Digest) -> Result<(), Refusal> {
     Err(Refusal::new(Reason::DigestMismatch, "digest", detail))
 }
 
-/// A chunk with checked types, shapes and lengths, borrowed from the message.
-struct Shaped<'a> {
-    agents: Vec<[Floats<'a>; 4]>,
-    state: Floats<'a>,
-    reward: Floats<'a>,
-    terminated: Flags<'a>,
-    truncated: Flags<'a>,
-    finals: ShapedFinals<'a>,
-    end: Option<ShapedEnd<'a>>,
+fn read_chunk(
+    wire: &wire::TrajectoryChunk,
+    sizes: &Sizes<'_>,
+    last: Last,
+) -> Result<TrajectoryChunk, Refusal> {
+    let rows = [sizes.steps, sizes.environments];
+    length(wire.agents.len(), sizes.agents(), "chunk.agents")?;
+    let agents = wire.agents.iter().enumerate().map(|(i, agent)| read_agent(agent, sizes, i));
+    let states = [rows[0], rows[1], sizes.state];
+    Ok(TrajectoryChunk {
+        sequence: wire.sequence,
+        first_step: wire.first_step,
+        steps: wire.steps,
+        agents: agents.collect::<Result<_, _>>()?,
+        state: read_floats(wire.state.as_ref(), &states, "chunk.state")?,
+        reward: read_floats(wire.reward.as_ref(), &rows, "chunk.reward")?,
+        terminated: read_flags(wire.terminated.as_ref(), &rows, "chunk.terminated")?,
+        truncated: read_flags(wire.truncated.as_ref(), &rows, "chunk.truncated")?,
+        finals: read_finals(wire.finals.as_ref(), sizes)?,
+        end: read_end(wire.end.as_ref(), sizes, last)?,
+    })
 }
 
-impl<'a> Shaped<'a> {
-    fn check(
-        wire: &'a wire::TrajectoryChunk,
-        sizes: &Sizes<'_>,
-        last: Last,
-    ) -> Result<Self, Refusal> {
-        let rows = [sizes.steps, sizes.environments];
-        length(wire.agents.len(), sizes.agents(), "chunk.agents")?;
-        let agents = wire.agents.iter().enumerate().map(|(i, agent)| check_agent(agent, sizes, i));
-        let states = [rows[0], rows[1], sizes.state];
-        Ok(Self {
-            agents: agents.collect::<Result<_, _>>()?,
-            state: Floats::check(wire.state.as_ref(), &states, "chunk.state".into())?,
-            reward: Floats::check(wire.reward.as_ref(), &rows, "chunk.reward".into())?,
-            terminated: Flags::check(wire.terminated.as_ref(), &rows, "chunk.terminated")?,
-            truncated: Flags::check(wire.truncated.as_ref(), &rows, "chunk.truncated")?,
-            finals: ShapedFinals::check(wire.finals.as_ref(), sizes)?,
-            end: ShapedEnd::check(wire.end.as_ref(), sizes, last)?,
-        })
-    }
-
-    fn decode(self, wire: &wire::TrajectoryChunk) -> Result<TrajectoryChunk, Refusal> {
-        let agents = self.agents.iter().map(|[observation, action, log_prob, hidden]| {
-            Ok(AgentChunk {
-                observation: observation.decode()?,
-                action: action.decode()?,
-                log_prob: log_prob.decode()?,
-                hidden: hidden.decode()?,
-            })
-        });
-        Ok(TrajectoryChunk {
-            sequence: wire.sequence,
-            first_step: wire.first_step,
-            steps: wire.steps,
-            agents: agents.collect::<Result<_, _>>()?,
-            state: self.state.decode()?,
-            reward: self.reward.decode()?,
-            terminated: self.terminated.decode()?,
-            truncated: self.truncated.decode()?,
-            finals: self.finals.decode()?,
-            end: self.end.map(|end| end.decode()).transpose()?,
-        })
-    }
-}
-
-fn check_agent<'a>(
-    wire: &'a wire::AgentChunk,
+fn read_agent(
+    wire: &wire::AgentChunk,
     sizes: &Sizes<'_>,
     agent: usize,
-) -> Result<[Floats<'a>; 4], Refusal> {
+) -> Result<AgentChunk, Refusal> {
     let (t, e) = (sizes.steps, sizes.environments);
     let field = |name: &str| format!("chunk.agents[{agent}].{name}");
     let observation = [t, e, sizes.observation(agent)];
     let action = [t, e, sizes.action(agent)];
     let hidden = [sizes.stored(), e, sizes.hidden(agent)];
-    Ok([
-        Floats::check(wire.observation.as_ref(), &observation, field("observation"))?,
-        Floats::check(wire.action.as_ref(), &action, field("action"))?,
-        Floats::check(wire.log_prob.as_ref(), &[t, e], field("log_prob"))?,
-        Floats::check(wire.hidden.as_ref(), &hidden, field("hidden"))?,
-    ])
+    Ok(AgentChunk {
+        observation: read_floats(wire.observation.as_ref(), &observation, &field("observation"))?,
+        action: read_floats(wire.action.as_ref(), &action, &field("action"))?,
+        log_prob: read_floats(wire.log_prob.as_ref(), &[t, e], &field("log_prob"))?,
+        hidden: read_floats(wire.hidden.as_ref(), &hidden, &field("hidden"))?,
+    })
 }
 
-/// Final steps with checked shapes. Without final steps, tensors are not checked.
-struct ShapedFinals<'a> {
-    keys: Vec<(u32, u32)>,
-    values: Option<(Floats<'a>, Vec<Floats<'a>>)>,
+/// Final steps. Without any, their tensors are not checked.
+fn read_finals(
+    wire: Option<&wire::FinalSteps>,
+    sizes: &Sizes<'_>,
+) -> Result<Vec<FinalStep>, Refusal> {
+    let Some(wire) = wire.filter(|wire| !wire.steps.is_empty()) else { return Ok(Vec::new()) };
+    let count = wire.steps.len();
+    let most = sizes.steps * sizes.environments;
+    from_1_to(most, count, "entries", "chunk.finals.steps")?;
+    length(wire.environments.len(), count, "chunk.finals.environments")?;
+    let state = read_floats(wire.state.as_ref(), &[count, sizes.state], "chunk.finals.state")?;
+    length(wire.observations.len(), sizes.agents(), "chunk.finals.observations")?;
+    let observations = wire.observations.iter().enumerate().map(|(i, tensor)| {
+        let field = format!("chunk.finals.observations[{i}]");
+        read_floats(Some(tensor), &[count, sizes.observation(i)], &field)
+    });
+    let observations = observations.collect::<Result<Vec<_>, _>>()?;
+    let row =
+        |all: &[f32], i: usize| all[i * all.len() / count..(i + 1) * all.len() / count].to_vec();
+    let last = |(i, (step, environment)): (usize, (&u32, &u32))| FinalStep {
+        step: *step,
+        environment: *environment,
+        state: row(&state, i),
+        observation: observations.iter().map(|all| row(all, i)).collect(),
+    };
+    Ok(wire.steps.iter().zip(&wire.environments).enumerate().map(last).collect())
 }
 
-impl<'a> ShapedFinals<'a> {
-    fn check(wire: Option<&'a wire::FinalSteps>, sizes: &Sizes<'_>) -> Result<Self, Refusal> {
-        let Some(wire) = wire.filter(|wire| !wire.steps.is_empty()) else {
-            return Ok(Self { keys: Vec::new(), values: None });
-        };
-        let count = wire.steps.len();
-        let most = sizes.steps * sizes.environments;
-        from_1_to(most, count, "entries", "chunk.finals.steps")?;
-        length(wire.environments.len(), count, "chunk.finals.environments")?;
-        let state = [count, sizes.state];
-        let state = Floats::check(wire.state.as_ref(), &state, "chunk.finals.state".into())?;
-        length(wire.observations.len(), sizes.agents(), "chunk.finals.observations")?;
-        let observations = wire.observations.iter().enumerate().map(|(i, tensor)| {
-            let field = format!("chunk.finals.observations[{i}]");
-            Floats::check(Some(tensor), &[count, sizes.observation(i)], field)
-        });
-        let observations = observations.collect::<Result<_, _>>()?;
-        let keys = wire.steps.iter().copied().zip(wire.environments.iter().copied()).collect();
-        Ok(Self { keys, values: Some((state, observations)) })
+fn read_end(
+    wire: Option<&wire::SlotEnd>,
+    sizes: &Sizes<'_>,
+    last: Last,
+) -> Result<Option<SlotEnd>, Refusal> {
+    if last == Last::No {
+        let detail = "must be absent except in the slot's last chunk";
+        let refusal = || Refusal::new(Reason::Inconsistent, "chunk.end", detail);
+        return wire.map_or(Ok(None), |_| Err(refusal()));
     }
-
-    fn decode(self) -> Result<Vec<FinalStep>, Refusal> {
-        let Some((state, observations)) = self.values else {
-            return Ok(Vec::new());
-        };
-        let count = self.keys.len();
-        let state = state.decode()?;
-        let observations =
-            observations.iter().map(Floats::decode).collect::<Result<Vec<_>, _>>()?;
-        let row = |all: &[f32], i: usize| {
-            all[i * all.len() / count..(i + 1) * all.len() / count].to_vec()
-        };
-        let last = |(i, (step, environment))| FinalStep {
-            step,
-            environment,
-            state: row(&state, i),
-            observation: observations.iter().map(|all| row(all, i)).collect(),
-        };
-        Ok(self.keys.into_iter().enumerate().map(last).collect())
+    let wire = required(wire, "chunk.end")?;
+    length(wire.environments.len(), sizes.environments, "chunk.end.environments")?;
+    for (i, state) in wire.environments.iter().enumerate() {
+        state_size(state.len(), sizes.run, &format!("chunk.end.environments[{i}]"))?;
     }
-}
-
-/// End states with checked number and sizes.
-struct ShapedEnd<'a> {
-    environments: &'a [bytes::Bytes],
-    recurrent: Vec<Floats<'a>>,
-}
-
-impl<'a> ShapedEnd<'a> {
-    fn check(
-        wire: Option<&'a wire::SlotEnd>,
-        sizes: &Sizes<'_>,
-        last: Last,
-    ) -> Result<Option<Self>, Refusal> {
-        if last == Last::No {
-            let detail = "must be absent except in the slot's last chunk";
-            let refusal = || Refusal::new(Reason::Inconsistent, "chunk.end", detail);
-            return wire.map_or(Ok(None), |_| Err(refusal()));
-        }
-        let wire = required(wire, "chunk.end")?;
-        length(wire.environments.len(), sizes.environments, "chunk.end.environments")?;
-        for (i, state) in wire.environments.iter().enumerate() {
-            state_size(state.len(), sizes.run, &format!("chunk.end.environments[{i}]"))?;
-        }
-        length(wire.recurrent.len(), sizes.agents(), "chunk.end.recurrent")?;
-        let recurrent = wire.recurrent.iter().enumerate().map(|(i, tensor)| {
-            let shape = [sizes.environments, sizes.hidden(i)];
-            Floats::check(Some(tensor), &shape, format!("chunk.end.recurrent[{i}]"))
-        });
-        Ok(Some(Self {
-            environments: &wire.environments,
-            recurrent: recurrent.collect::<Result<_, _>>()?,
-        }))
-    }
-
-    fn decode(self) -> Result<SlotEnd, Refusal> {
-        Ok(SlotEnd {
-            environments: self.environments.iter().map(|state| state.to_vec()).collect(),
-            recurrent: self.recurrent.iter().map(Floats::decode).collect::<Result<_, _>>()?,
-        })
-    }
+    length(wire.recurrent.len(), sizes.agents(), "chunk.end.recurrent")?;
+    let recurrent = wire.recurrent.iter().enumerate().map(|(i, tensor)| {
+        let shape = [sizes.environments, sizes.hidden(i)];
+        read_floats(Some(tensor), &shape, &format!("chunk.end.recurrent[{i}]"))
+    });
+    Ok(Some(SlotEnd {
+        environments: wire.environments.iter().map(|state| state.to_vec()).collect(),
+        recurrent: recurrent.collect::<Result<_, _>>()?,
+    }))
 }
 
 /// Checks that every discrete action is the index of a choice.

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 
 use crate::read::{digest, from_1_to, length, required};
-use crate::tensor::{self, Floats};
+use crate::tensor;
 use crate::{Digest, Incarnation, LeaseId, PolicyVersion, Refusal, RunDescription, wire};
 
 /// Work for one actor.
@@ -236,7 +236,7 @@ fn continued_from_wire(
     length(wire.recurrent.len(), run.hidden_sizes.len(), &format!("{field}.recurrent"))?;
     let tensors = wire.recurrent.iter().zip(&run.hidden_sizes).enumerate();
     let recurrent = tensors.map(|(i, (tensor, size))| {
-        Floats::check(Some(tensor), &[*size as usize], format!("{field}.recurrent[{i}]"))?.decode()
+        tensor::read_floats(Some(tensor), &[*size as usize], &format!("{field}.recurrent[{i}]"))
     });
     Ok(Start::Continue {
         state: wire.state.to_vec(),

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::read::bad_value;
-use crate::tensor::Floats;
+use crate::tensor::read_floats;
 use crate::{ActStep, Acted, Reason, Refusal, WeightsName, wire};
 
 impl ActStep {
@@ -54,7 +54,7 @@ fn numbers<'a>(
     name: &str,
 ) -> Result<Vec<(usize, Vec<f32>)>, Refusal> {
     let mut named = BTreeSet::new();
-    let mut shaped = Vec::new();
+    let mut read = Vec::new();
     for (i, (agent, tensor)) in rows.enumerate() {
         let agent = agent as usize;
         let agents = sizes.len();
@@ -66,7 +66,7 @@ fn numbers<'a>(
             return Err(bad_value(&agent_field, format!("{agent} is repeated")));
         }
         let field = format!("{list}[{i}].{name}");
-        shaped.push((agent, Floats::check(tensor, &[sizes[agent]], field)?));
+        read.push((agent, read_floats(tensor, &[sizes[agent]], &field)?));
     }
-    shaped.into_iter().map(|(agent, row)| Ok((agent, row.decode()?))).collect()
+    Ok(read)
 }

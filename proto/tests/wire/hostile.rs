@@ -7,13 +7,13 @@ use proto::{
     Digest, LeaseAnswer, MAX_MESSAGE_BYTES, Refusal, RunDescription, TrajectoryChunk, wire,
 };
 
-use crate::{assert_refused, received, sample};
+use crate::{assert_refused, honest_digest, received, sample};
 
 fn with_state(shape: &[u32], data: Bytes) -> Result<TrajectoryChunk, Refusal> {
-    let (mut message, digest) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());
+    let (mut message, _) = sample::chunk(0).to_wire(&sample::run(), &sample::origin());
     let data_type = wire::DataType::F32.into();
     message.state = Some(wire::Tensor { data_type, shape: shape.to_vec(), data });
-    received(&message, &sample::run(), digest)
+    received(&message, &sample::run(), honest_digest(&message, &sample::run()))
 }
 
 #[test]

@@ -6,7 +6,7 @@ use proto::Reason::{
 };
 use proto::{Digest, EvaluationResult, Reason, wire};
 
-use crate::{assert_refused, received, sample};
+use crate::{assert_refused, honest_digest, received, sample};
 
 /// The sequence number of a valid chunk, the reason and field of the refusal, and the change that causes it.
 type Lie = (u32, Reason, &'static str, fn(&mut wire::TrajectoryChunk));
@@ -39,25 +39,12 @@ fn message(sequence: u32) -> (wire::TrajectoryChunk, Digest) {
     sample::chunk(sequence).to_wire(&sample::run(), &sample::origin())
 }
 
-/// The correct digest, from the refusal of a wrong one; any digest if an earlier check fails.
-fn honest_digest(message: &wire::TrajectoryChunk) -> Digest {
-    let wrong = Digest([0; 32]);
-    match received(message, &sample::run(), wrong) {
-        Err(refusal) if refusal.reason == DigestMismatch => {
-            let text = refusal.detail.strip_prefix("the content has ").unwrap();
-            let byte = |i| u8::from_str_radix(&text[2 * i..2 * i + 2], 16).unwrap();
-            Digest(std::array::from_fn(byte))
-        }
-        _ => wrong,
-    }
-}
-
 /// The digests are valid: they are computed after the changes.
 fn assert_all_refused(lies: &[Lie]) {
     for &(sequence, reason, field, tell) in lies {
         let mut message = message(sequence).0;
         tell(&mut message);
-        let result = received(&message, &sample::run(), honest_digest(&message));
+        let result = received(&message, &sample::run(), honest_digest(&message, &sample::run()));
         assert_refused(result, reason, &format!("chunk.{field}"));
     }
 }

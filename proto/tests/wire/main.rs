@@ -31,6 +31,19 @@ fn received(
     TrajectoryChunk::from_wire(&sent(message), run, &sample::origin(), digest)
 }
 
+/// The correct digest, from the refusal of a wrong one; any digest if an earlier check fails.
+fn honest_digest(message: &wire::TrajectoryChunk, run: &RunDescription) -> Digest {
+    let wrong = Digest([0; 32]);
+    match received(message, run, wrong) {
+        Err(refusal) if refusal.reason == Reason::DigestMismatch => {
+            let text = refusal.detail.strip_prefix("the content has ").unwrap();
+            let byte = |i| u8::from_str_radix(&text[2 * i..2 * i + 2], 16).unwrap();
+            Digest(std::array::from_fn(byte))
+        }
+        _ => wrong,
+    }
+}
+
 #[track_caller]
 fn assert_refused<T: Debug>(result: Result<T, Refusal>, reason: Reason, field: &str) {
     let refusal = result.unwrap_err();
