@@ -1,11 +1,13 @@
 //! Progress of a run, sent to watchers at the end of each iteration.
 
+use serde::Serialize;
+
 use crate::name::printable;
 use crate::read::unknown;
 use crate::{Refusal, wire};
 
-/// Progress at the end of an iteration, or of the learner.
-#[derive(Clone, Debug, PartialEq)]
+/// Progress at the end of an iteration, or of the learner. Serialized, it is a line of `s2mia watch --json`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunLine {
     /// Human-readable name of the run.
     pub run_id: String,
@@ -24,7 +26,7 @@ pub struct RunLine {
 }
 
 /// Results of evaluation episodes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct EvaluationSummary {
     /// Number of iterations that trained the policies.
     pub iteration: u64,
@@ -37,27 +39,19 @@ pub struct EvaluationSummary {
 }
 
 /// How a learner ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum RunEnd {
     /// The last iteration is complete.
     Finished,
     /// Stopped earlier, by a signal or a failure; can be resumed, and the next learner may follow soon.
     Stopped,
     /// Stopped earlier by a client; can be resumed.
+    #[serde(rename = "stopped")]
     StoppedByClient,
 }
 
 impl RunLine {
-    /// A run after `iteration` without other figures.
-    #[must_use]
-    pub fn without_figures(run_id: String, iteration: u64, env_steps: u64) -> Self {
-        let env_steps_per_sec = 0.0;
-        let episode_return = None;
-        let evaluation = None;
-        let end = None;
-        Self { run_id, iteration, env_steps, env_steps_per_sec, episode_return, evaluation, end }
-    }
-
     /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::WatchRunResponse {

@@ -1,14 +1,17 @@
 //! Status of a run, for operators and scripts.
 
+use serde::Serialize;
+
 use crate::name::printable;
 use crate::{ActorId, Incarnation, LeaseId, wire};
 
 /// Status of a run.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
     /// Human-readable name of the run.
     pub run_id: String,
     /// This start of the learner.
+    #[serde(skip)]
     pub incarnation: Incarnation,
     /// Finished iterations.
     pub iteration: u64,
@@ -29,6 +32,7 @@ pub struct Status {
     /// Whether the last due checkpoint could not be written.
     pub storage_degraded: bool,
     /// Open leases, the oldest first.
+    #[serde(skip)]
     pub leases: Vec<LeaseStatus>,
     /// Slots that got a second lease because the first was slow, since the learner started.
     pub slots_backed_up: u64,

@@ -149,9 +149,9 @@ impl AtRest {
     /// The last line of the run.
     pub(super) fn last_line(&self) -> RunLine {
         let Reached { iteration, env_steps } = self.newest.unwrap_or_default();
-        let line = RunLine::without_figures(self.run_id.clone(), iteration, env_steps);
+        let run_id = self.run_id.clone();
         let end = if self.is_finished() { RunEnd::Finished } else { RunEnd::Stopped };
-        RunLine { end: Some(end), ..line }
+        RunLine { run_id, iteration, env_steps, end: Some(end), ..RunLine::default() }
     }
 
     /// Whether the run has had its last iteration.

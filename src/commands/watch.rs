@@ -7,7 +7,7 @@ use clap::Args;
 use learner::serve::health::HealthError;
 use learner::serve::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::commands::control::{AtRest, LearnerArgument, operator, seconds, url};
 use crate::errors::Usage;
@@ -121,7 +121,7 @@ impl<'a> Watch<'a> {
     fn show(&mut self, line: &RunLine) {
         self.seen = self.seen.max(line.iteration);
         if self.arguments.json {
-            output::line(to_json(line));
+            output::line(json!(line));
         } else {
             output::line(text(line));
         }
@@ -157,30 +157,6 @@ fn text(line: &RunLine) -> String {
             )
         }
     }
-}
-
-fn to_json(line: &RunLine) -> Value {
-    let end = line.end.map(|end| match end {
-        RunEnd::Finished => "finished",
-        RunEnd::Stopped | RunEnd::StoppedByClient => "stopped",
-    });
-    let evaluation = line.evaluation.map(|found| {
-        json!({
-            "iteration": found.iteration,
-            "mean": found.mean,
-            "standard_deviation": found.standard_deviation,
-            "episodes": found.episodes,
-        })
-    });
-    json!({
-        "run_id": line.run_id,
-        "iteration": line.iteration,
-        "env_steps": line.env_steps,
-        "env_steps_per_sec": line.env_steps_per_sec,
-        "episode_return": line.episode_return,
-        "evaluation": evaluation,
-        "end": end,
-    })
 }
 
 #[cfg(test)]

@@ -214,7 +214,7 @@ mod tests {
             [false, true, true]
         );
         run.observe(&evaluation(3));
-        run.end(RunEnd::Finished, RunLine::without_figures("a run".to_owned(), 0, 0));
+        run.end(RunEnd::Finished, RunLine::default());
         let last = &run.after(3)[0];
         assert_eq!((last.iteration, last.end), (3, Some(RunEnd::Finished)));
         assert_eq!(last.evaluation.map(|found| found.iteration), Some(3));
@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn a_learner_that_ends_before_its_first_iteration_has_a_last_line() {
         let mut run = run();
-        run.end(RunEnd::Stopped, RunLine::without_figures("a run".to_owned(), 5, 20_000));
+        run.end(RunEnd::Stopped, RunLine { iteration: 5, env_steps: 20_000, ..RunLine::default() });
         assert_eq!(iterations(&run.after(7)), [5]);
     }
 }

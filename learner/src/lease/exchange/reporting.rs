@@ -75,7 +75,7 @@ impl Exchange {
         let counted = status.iteration * self.iteration_steps(&self.lock().table.counts());
         let (iteration, env_steps) =
             summary.map_or((status.iteration, counted), |ended| (ended.iteration, ended.env_steps));
-        let first = RunLine::without_figures(status.run_id, iteration, env_steps);
+        let first = RunLine { run_id: status.run_id, iteration, env_steps, ..RunLine::default() };
         let end = match summary {
             Some(ended) if !ended.stopped_early => RunEnd::Finished,
             _ if self.is_stop_requested() => RunEnd::StoppedByClient,
@@ -176,21 +176,9 @@ pub fn status_json(status: &Status) -> Value {
             "still_secs": lease.still_secs,
         })
     };
-    json!({
-        "state": "running",
-        "run_id": status.run_id,
-        "incarnation": format!("{:016x}", status.incarnation.0),
-        "iteration": status.iteration,
-        "env_steps": status.env_steps,
-        "env_steps_per_sec": status.env_steps_per_sec,
-        "slots": status.slots,
-        "complete_slots": status.complete_slots,
-        "actors": status.actors,
-        "messages_refused": status.messages_refused,
-        "leases_reissued": status.leases_reissued,
-        "slots_backed_up": status.slots_backed_up,
-        "audits_agreed": status.audits_agreed,
-        "storage_degraded": status.storage_degraded,
-        "leases": status.leases.iter().map(lease).collect::<Vec<_>>(),
-    })
+    let mut object = json!(status);
+    object["state"] = "running".into();
+    object["incarnation"] = format!("{:016x}", status.incarnation.0).into();
+    object["leases"] = status.leases.iter().map(lease).collect();
+    object
 }
