@@ -9,7 +9,8 @@ use proto::wire::get_weights_response::Part;
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::{
     Authorization, Heartbeat, HeartbeatAnswer, LeaseAnswer, MAX_DESCRIPTION_BYTES,
-    MAX_MESSAGE_BYTES, Registered, Registration, ReturnedLease, RunDescription, WeightsName, wire,
+    MAX_MESSAGE_BYTES, MAX_UNACKNOWLEDGED, Registered, Registration, ReturnedLease, RunDescription,
+    WeightsName, wire,
 };
 use security::{ClientTls, Token};
 use tokio::sync::mpsc;
@@ -36,8 +37,6 @@ const LEASE_WAIT_MILLIS: u32 = 10_000;
 const MOST_FRAME_BYTES: u32 = 256 << 10;
 /// Largest size of a snapshot, bytes.
 const MAX_WEIGHTS_BYTES: u64 = 1 << 30;
-/// Largest number of unacknowledged results.
-pub(crate) const MAX_UNACKNOWLEDGED: usize = 4;
 
 /// Stream of results and their acknowledgements.
 pub(crate) struct PushStream {
@@ -71,9 +70,7 @@ impl Client {
         let request = within(CALL_DEADLINE, wire::DescribeRunRequest {});
         let mut service = self.service.clone().max_decoding_message_size(MAX_DESCRIPTION_BYTES);
         let answer = service.describe_run(request).await?.into_inner();
-        let run = RunDescription::from_wire(answer.run)?;
-        run.validate()?;
-        Ok(run)
+        Ok(RunDescription::from_wire(answer.run)?)
     }
 
     pub(crate) async fn register(&mut self, own: &Registration) -> Result<Registered, ActorError> {
@@ -167,10 +164,7 @@ impl Client {
 }
 
 fn endpoint(config: &ActorConfig) -> Result<Endpoint, ActorError> {
-    let wrong = |error: tonic::transport::Error| ActorError::Url {
-        url: config.learner.clone(),
-        why: causes(&error),
-    };
+    let wrong = |error| ActorError::learner_url(&config.learner, &causes(&error));
     let endpoint = Endpoint::from_shared(config.learner.clone())
         .map_err(wrong)?
         .connect_timeout(CALL_DEADLINE)
@@ -215,7 +209,7 @@ pub(crate) async fn explained(error: ActorError, config: &ActorConfig) -> ActorE
         }
     };
     match why {
-        Some(why) => ActorError::Tls { url: config.learner.clone(), why },
+        Some(why) => ActorError::Other(format!("no session with {}: {why}", config.learner)),
         None => error,
     }
 }

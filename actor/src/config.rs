@@ -46,7 +46,7 @@ impl ActorConfig {
     /// # Errors
     /// If the URL is invalid, or plain text to another machine is not allowed.
     pub fn validate(&self) -> Result<(), ActorError> {
-        let wrong = |why: &str| ActorError::Url { url: self.learner.clone(), why: why.to_owned() };
+        let wrong = |why: &str| ActorError::learner_url(&self.learner, why);
         addresses::check_port(&self.learner).map_err(|port| wrong(&port.to_string()))?;
         let url: Uri = self.learner.parse().map_err(|_| wrong("write http://HOST:50051"))?;
         let scheme = url.scheme_str();
@@ -60,9 +60,10 @@ impl ActorConfig {
             (Transport::PlainTextOnLoopback, Some("http")) if addresses::is_loopback(host) => {
                 Ok(())
             }
-            (Transport::PlainTextOnLoopback, Some("http")) => {
-                Err(ActorError::PlainText { url: self.learner.clone() })
-            }
+            (Transport::PlainTextOnLoopback, Some("http")) => Err(wrong(
+                "it is on another machine, and plain text is neither encrypted nor authenticated; use https:// with \
+                 --tls-ca, --tls-certificate and --tls-key, or pass --insecure-allow-remote",
+            )),
             _ => Err(wrong("write http://HOST:50051 or https://HOST:50051")),
         }
     }
@@ -74,8 +75,7 @@ impl ActorConfig {
 /// # Errors
 /// If the URL is invalid or the machine is not allowed.
 pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorError> {
-    let wrong =
-        |why: &str| Err(ActorError::EnvironmentUrl { url: url.to_owned(), why: why.to_owned() });
+    let wrong = |why: &str| Err(ActorError::environment_url(url, why));
     let Ok(parsed) = url.parse::<Uri>() else { return wrong("write http://HOST:PORT") };
     if let Err(port) = addresses::check_port(url) {
         return wrong(&port.to_string());

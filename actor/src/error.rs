@@ -1,7 +1,6 @@
 //! Errors of actors and of external environments.
 
 use proto::{LeaseId, Refusal, in_words, name};
-use recording::trajectory_log::LogStartError;
 use sim::{SimError, StateError};
 use thiserror::Error;
 use tonic::{Code, Status};
@@ -9,41 +8,6 @@ use tonic::{Code, Status};
 /// Why an actor stopped before the end of its run.
 #[derive(Debug, Error)]
 pub enum ActorError {
-    /// The learner's URL is invalid.
-    #[error("invalid learner URL {url}: {why}")]
-    Url {
-        /// The URL.
-        url: String,
-        /// Why it is invalid.
-        why: String,
-    },
-    /// The connection to another machine would be plain text.
-    #[error(
-        "{url} is another machine, and plain text is neither encrypted nor authenticated; use https:// with --tls-ca, \
-         --tls-certificate and --tls-key, or pass --insecure-allow-remote"
-    )]
-    PlainText {
-        /// The learner's URL.
-        url: String,
-    },
-    /// The TLS settings do not match, or one side rejects the other's certificate.
-    #[error("no session with {url}: {why}")]
-    Tls {
-        /// The learner's URL.
-        url: String,
-        /// What to change.
-        why: String,
-    },
-    /// The learner was unreachable for too long.
-    #[error("no session with {url} for {secs:.0} s; last error: {last}")]
-    Outage {
-        /// The learner's URL.
-        url: String,
-        /// Duration of the outage, seconds.
-        secs: f64,
-        /// Error of the last attempt.
-        last: String,
-    },
     /// The external environment was unreachable for too long.
     #[error("no usable environment for {secs:.0} s: {last}")]
     EnvironmentOutage {
@@ -72,29 +36,12 @@ pub enum ActorError {
     /// A start state of a lease cannot be restored.
     #[error("a start state of the lease cannot be restored: {0}")]
     StartState(StateError),
-    /// The environment's URL is invalid, or the environment cannot be used.
-    #[error("cannot use {url} as an environment: {why}")]
-    EnvironmentUrl {
-        /// The URL.
-        url: String,
-        /// Why it cannot be used.
-        why: String,
-    },
     /// An external environment failed.
     #[error(transparent)]
     Environment(#[from] EnvironmentError),
-    /// The log cannot be started.
-    #[error(transparent)]
-    Log(#[from] LogStartError),
-    /// The log-writer thread ended unexpectedly.
-    #[error("the last file of the log was not closed")]
-    LogNotClosed,
-    /// A stepping thread cannot be started.
-    #[error("cannot start a stepping thread: {0}")]
-    Thread(#[source] std::io::Error),
-    /// The stepping thread ended unexpectedly.
-    #[error("the stepping thread ended: {0}")]
-    Stepping(String),
+    /// Any other failure, in words.
+    #[error("{0}")]
+    Other(String),
 }
 
 /// Why a request to an external environment failed.
@@ -138,6 +85,21 @@ impl From<EnvironmentError> for SimError {
 }
 
 impl ActorError {
+    /// The learner's URL is invalid or not allowed.
+    pub(crate) fn learner_url(url: &str, why: &str) -> Self {
+        Self::Other(format!("invalid learner URL {url}: {why}"))
+    }
+
+    /// The environments cannot be built with the run's settings.
+    pub(crate) fn of_task(error: SimError) -> Self {
+        Self::Task(error.to_string())
+    }
+
+    /// The environment's URL is invalid or not allowed, or the environment cannot be used.
+    pub(crate) fn environment_url(url: &str, why: &str) -> Self {
+        Self::Other(format!("cannot use {url} as an environment: {why}"))
+    }
+
     /// Error of an actor whose environments failed with `error` during `lease`.
     pub(crate) fn of_lease(error: SimError, lease: LeaseId) -> Self {
         let external = match error {

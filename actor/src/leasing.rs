@@ -5,11 +5,13 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use policy::PolicySnapshot;
-use proto::{Ack, Heartbeat, Lease, LeaseFailure, LeaseId, Registered, ReturnedLease};
+use proto::{
+    Ack, Heartbeat, Lease, LeaseFailure, LeaseId, MAX_UNACKNOWLEDGED, Registered, ReturnedLease,
+};
 use tokio::sync::{Mutex, MutexGuard};
 use tonic::{Code, Status};
 
-use crate::client::{Client, MAX_UNACKNOWLEDGED};
+use crate::client::Client;
 use crate::error::{ActorError, describe};
 use crate::stepping::{Job, JobOutput, JobProgress, Stepper};
 
@@ -174,5 +176,5 @@ async fn stream(
 }
 
 fn gone() -> ActorError {
-    ActorError::Stepping("its channel is closed".to_owned())
+    ActorError::Other("the stepping thread ended: its channel is closed".to_owned())
 }

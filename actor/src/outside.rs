@@ -59,9 +59,8 @@ impl EnvironmentService {
         let mut client = EnvironmentClient::connect(url).await?;
         let offered = client.describe().await?;
         let states = if offered.max_state_bytes > 0 { States::Saved } else { States::Replayed };
-        let spec = spec_of_run(&offered, states).ok_or_else(|| ActorError::EnvironmentUrl {
-            url: url.to_owned(),
-            why: "the actions of an episode need more than 4 GiB".to_owned(),
+        let spec = spec_of_run(&offered, states).ok_or_else(|| {
+            ActorError::environment_url(url, "the actions of an episode need more than 4 GiB")
         })?;
         Ok(Self { client, offered, states, spec })
     }

@@ -33,8 +33,8 @@ const RETRY_DELAY: (Duration, Duration) = (Duration::from_millis(100), Duration:
 /// # Errors
 /// If the learner rejects this actor permanently or is unreachable for too long, or the log cannot be started.
 pub async fn run(config: ActorConfig, stop: watch::Receiver<bool>) -> Result<(), ActorError> {
-    let log =
-        config.log.as_ref().map(|log| Log::start(log, &config.name, config.threads)).transpose()?;
+    let log = config.log.as_ref().map(|log| Log::start(log, &config.name, config.threads));
+    let log = log.transpose().map_err(|error| ActorError::Other(error.to_string()))?;
     let answered = std::sync::Mutex::new(Instant::now());
     let all = config.threads;
     let weights = WeightsCache::default();
@@ -52,9 +52,11 @@ pub async fn run(config: ActorConfig, stop: watch::Receiver<bool>) -> Result<(),
     if let Some(log) = Arc::into_inner(process).and_then(|process| process.log) {
         tokio::task::spawn_blocking(move || log.close())
             .await
-            .map_err(|_| ActorError::LogNotClosed)?;
+            .map_err(|_| ActorError::Other("the last file of the log was not closed".to_owned()))?;
     }
-    ended.unwrap_or_else(|panic| Err(ActorError::Stepping(panic.to_string())))
+    ended.unwrap_or_else(|panic| {
+        Err(ActorError::Other(format!("the stepping thread ended: {panic}")))
+    })
 }
 
 /// State that all connections of an actor process share.
@@ -150,11 +152,13 @@ impl Connection {
         let answered = *answered.lock().unwrap_or_else(PoisonError::into_inner);
         let secs = answered.elapsed().as_secs_f64();
         if secs > config.max_outage_secs {
-            let url = config.learner.clone();
+            let url = &config.learner;
             let last = line(error);
             return Err(match error {
                 ActorError::Environment(_) => ActorError::EnvironmentOutage { secs, last },
-                _ => ActorError::Outage { url, secs, last },
+                _ => ActorError::Other(format!(
+                    "no session with {url} for {secs:.0} s; last error: {last}"
+                )),
             });
         }
         let tries = self.tries.fetch_add(1, Ordering::Relaxed);
@@ -257,7 +261,7 @@ fn registration(
         },
         build: config.build.clone(),
         protocol_version: proto::PROTOCOL_VERSION,
-        environment: source.spec()?,
+        environment: source.open(1).map_err(ActorError::of_task)?.description().clone(),
         rollout_fingerprint: Some(rollout_fingerprint()),
         process: Some(process.id),
     })

@@ -1,6 +1,6 @@
 //! Source of an actor's environments: the simulator or an external program.
 
-use proto::{EnvironmentSpec, RunDescription};
+use proto::RunDescription;
 use sim::{EnvironmentBatch, ObservationNorm, SimError, TaskConfig};
 
 use crate::config::ActorConfig;
@@ -46,32 +46,11 @@ impl EnvironmentSource {
         }
     }
 
-    /// Specification for the registration.
-    pub(crate) fn spec(&self) -> Result<EnvironmentSpec, ActorError> {
-        match self {
-            Self::Simulator(task) => Ok(simulated(task, 1)?.description().clone()),
-            Self::Service(service) => Ok(service.spec().clone()),
-        }
-    }
-
-    /// Opens `count` environments.
-    pub(crate) fn open(&self, count: usize) -> Result<Box<dyn EnvironmentBatch>, ActorError> {
-        Ok(match self {
-            Self::Simulator(task) => simulated(task, count)?,
-            Self::Service(service) => Box::new(service.environments(count)),
-        })
-    }
-
-    /// Opens `count` environments after others were opened, so that only their number can be a reason to fail. Call it inside a
-    /// tokio runtime.
-    pub(crate) fn reopen(&self, count: usize) -> Result<Box<dyn EnvironmentBatch>, SimError> {
+    /// Opens `count` environments. Call it inside a tokio runtime.
+    pub(crate) fn open(&self, count: usize) -> Result<Box<dyn EnvironmentBatch>, SimError> {
         match self {
             Self::Simulator(task) => sim::environments(task, count),
             Self::Service(service) => Ok(Box::new(service.environments(count))),
         }
     }
-}
-
-fn simulated(task: &TaskConfig, count: usize) -> Result<Box<dyn EnvironmentBatch>, ActorError> {
-    sim::environments(task, count).map_err(|error| ActorError::Task(error.to_string()))
 }

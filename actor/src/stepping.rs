@@ -78,8 +78,9 @@ impl Stepper {
         source: &EnvironmentSource,
         handle: Option<LogHandle>,
     ) -> Result<Self, ActorError> {
-        let slot = source.open(run.environments_per_slot as usize)?;
-        let mut evaluation = source.open(1)?;
+        let open = |count| source.open(count).map_err(ActorError::of_task);
+        let slot = open(run.environments_per_slot as usize)?;
+        let mut evaluation = open(1)?;
         evaluation.set_disturbances(Disturbances::AsInEvaluations);
         let source = source.clone();
         let worlds = Worlds { run, source, slot, evaluation, handle };
@@ -92,7 +93,9 @@ impl Stepper {
             let _entered = runtime.enter();
             step_until_dropped(worlds, queue, &results);
         });
-        started.map_err(ActorError::Thread)?;
+        started.map_err(|error| {
+            ActorError::Other(format!("cannot start a stepping thread: {error}"))
+        })?;
         Ok(Self { jobs, outputs })
     }
 }
@@ -141,7 +144,7 @@ impl Worlds {
         results: &mpsc::Sender<JobOutput>,
     ) -> Result<(), SimError> {
         if self.slot.count() != work.environments.len() {
-            self.slot = self.source.reopen(work.environments.len())?;
+            self.slot = self.source.open(work.environments.len())?;
         }
         let Self { run, slot, handle, .. } = self;
         let nearly = (f64::from(run.slot_steps) * NEARLY) as u32;

@@ -19,7 +19,7 @@ mod writer;
 
 pub use collector::ShareCollector;
 pub use config::{FILE_BYTES, LogConfig, LogSettings};
-pub use error::{LogError, LogStartError};
+pub use error::LogError;
 pub use replay::{ReplayDifference, Replayed, replay};
 pub use shares::{ReadShares, read_shares, totals};
 pub use source::{is_log_name, read_bytes};

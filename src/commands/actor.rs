@@ -105,11 +105,7 @@ fn configure(arguments: ActorArguments) -> anyhow::Result<actor::ActorConfig> {
         build: BUILD.to_owned(),
         log: log(arguments.log)?,
     };
-    config.validate().map_err(|error| {
-        use actor::ActorError::{PlainText, Url};
-        let of_url = matches!(error, Url { .. } | PlainText { .. });
-        Usage::new(if of_url { format!("--learner: {error}") } else { error.to_string() })
-    })?;
+    config.validate().map_err(|error| Usage::new(format!("--learner: {error}")))?;
     Ok(config)
 }
 

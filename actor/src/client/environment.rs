@@ -45,9 +45,8 @@ struct Open {
 impl EnvironmentClient {
     /// Connects, without keep-alive pings: some servers treat frequent pings as an attack.
     pub(crate) async fn connect(url: &str) -> Result<Self, ActorError> {
-        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|error| {
-            ActorError::EnvironmentUrl { url: url.to_owned(), why: causes(&error) }
-        })?;
+        let endpoint = Endpoint::from_shared(url.to_owned())
+            .map_err(|error| ActorError::environment_url(url, &causes(&error)))?;
         let endpoint = endpoint.connect_timeout(CALL_DEADLINE).tcp_nodelay(true);
         let channel = endpoint
             .connect()

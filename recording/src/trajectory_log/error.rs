@@ -1,7 +1,5 @@
 //! Errors of trajectory logs.
 
-use std::path::PathBuf;
-
 use thiserror::Error;
 
 use crate::error::RecordError;
@@ -39,20 +37,4 @@ impl From<mcap::McapError> for LogError {
     fn from(error: mcap::McapError) -> Self {
         Self::Damaged(error.to_string())
     }
-}
-
-/// Why the log of an actor cannot be started.
-#[derive(Debug, Error)]
-pub enum LogStartError {
-    /// The folder cannot be created.
-    #[error("cannot create {}: {source}", folder.display())]
-    Folder {
-        /// The folder.
-        folder: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// The thread that writes the log cannot be started.
-    #[error("cannot start the log thread: {0}")]
-    Thread(std::io::Error),
 }

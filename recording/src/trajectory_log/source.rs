@@ -4,17 +4,11 @@ use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use super::error::{LogError, LogStartError};
+use super::error::LogError;
 use crate::error::RecordError;
 
 const PREFIX: &str = "trajectories-";
 const SUFFIX: &str = ".mcap";
-
-/// Creates the folder of a log.
-pub(super) fn make_folder(folder: &Path) -> Result<(), LogStartError> {
-    std::fs::create_dir_all(folder)
-        .map_err(|source| LogStartError::Folder { folder: folder.to_path_buf(), source })
-}
 
 /// Name of file number `number` of an actor. Characters that are not safe in file names become `_`.
 fn log_name(actor: &str, number: u32) -> String {

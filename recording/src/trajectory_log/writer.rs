@@ -1,5 +1,6 @@
 //! The log-writer thread and the handle with which the stepping thread sends data to it.
 
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,7 +13,6 @@ use sim::TaskConfig;
 
 use super::collector::ShareCollector;
 use super::config::LogConfig;
-use super::error::LogStartError;
 use super::file::{LogFile, Origin};
 use super::source;
 use crate::error::RecordError;
@@ -77,8 +77,12 @@ impl Log {
     ///
     /// # Errors
     /// If the folder cannot be created or the thread cannot be started.
-    pub fn start(config: &LogConfig, actor: &str, threads: usize) -> Result<Self, LogStartError> {
-        source::make_folder(&config.folder)?;
+    pub fn start(config: &LogConfig, actor: &str, threads: usize) -> io::Result<Self> {
+        let wrong = |what: String| {
+            move |error: io::Error| io::Error::other(format!("cannot {what}: {error}"))
+        };
+        std::fs::create_dir_all(&config.folder)
+            .map_err(wrong(format!("create {}", config.folder.display())))?;
         let lost = Arc::new(Lost::default());
         let writer = LogWriter {
             config: config.clone(),
@@ -91,7 +95,9 @@ impl Log {
         };
         let (commands, queue) = sync_channel(QUEUE * threads);
         let thread = std::thread::Builder::new().name("log".to_owned());
-        let thread = thread.spawn(move || writer.work(&queue)).map_err(LogStartError::Thread)?;
+        let thread = thread
+            .spawn(move || writer.work(&queue))
+            .map_err(wrong("start the log thread".to_owned()))?;
         let episodes = config.episodes;
         let actor = actor.to_owned();
         Ok(Self { commands, lost, episodes, actor, thread })
