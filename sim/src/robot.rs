@@ -31,7 +31,7 @@ pub(crate) use blueprint::{
     Blueprint, Cone, GroundForm, JointPlan, Keyframe, Law, LinkPlan, MotorPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
-pub(crate) use coupling::{Combination, Coupled, EqualityPlan, TendonPlan};
+pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;

@@ -29,8 +29,8 @@ pub(crate) fn is_of_this_command(origin: &str) -> bool {
     origin == COMMAND_LINE || origin.starts_with(VARIABLE)
 }
 
-/// A configuration file larger than this is a mistake.
-const FILE_LIMIT_BYTES: u64 = 1 << 20;
+/// A configuration file larger than this is a mistake. That of a run has the model of its task, of 4 MiB at most, with escapes.
+const FILE_LIMIT_BYTES: u64 = 12 << 20;
 
 /// Values by dotted path.
 type Values = BTreeMap<String, Value>;

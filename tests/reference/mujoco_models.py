@@ -208,6 +208,24 @@ FINGERS = """<mujoco>
 PULL = '<actuator><general tendon="split" gear="2" ctrlrange="-9 9"/></actuator>'
 HOLD = """<actuator><position tendon="split" kp="30" dampratio="0.8" gear="3" ctrlrange="-1 1"/></actuator>"""
 
+# A crank that moves a rocker by a coupler, whose end hangs on the rocker by one point; and a bob on the world.
+FOUR_BARS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <default><geom contype="0" conaffinity="0" type="capsule" size="0.02"/><joint axis="0 1 0" damping="0.1"/></default>
+  <worldbody>
+    <body name="crank" pos="0 0 1"><joint name="crank"/><geom fromto="0 0 0 0 0 .2" mass=".3"/>
+      <body name="coupler" pos="0 0 .2"><joint name="coupler"/><geom fromto="0 0 0 .5 0 .1" mass=".2"/>
+        <body name="tip" pos=".5 0 .1"><geom size=".03" fromto="0 0 0 .1 0 0" mass=".1"/></body></body></body>
+    <body name="rocker" pos=".5 0 1"><joint name="rocker"/><geom fromto="0 0 0 0 0 .3" mass=".4"/></body>
+    <body name="bob" pos="0 1 1"><joint name="bob"/><geom fromto="0 0 0 .3 0 0" mass=".4"/></body>
+  </worldbody>
+  <equality><connect body1="tip" body2="rocker" anchor="0 0 0"/>
+    <connect body1="bob" anchor=".3 0 0" solref="0.1 0.7" solimp="0.5 0.9 0.02"/></equality>
+  <actuator><motor joint="crank" ctrlrange="-9 9"/></actuator>
+</mujoco>
+"""
+
 SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
 
 # Motions: a model, its velocities at the start, constant controls, and physics steps.
@@ -239,6 +257,7 @@ MOTIONS = {
     "a tendon with dry friction": (
         FINGERS.format(tendon=' frictionloss="0.4"', sections=PULL), [], [0.6], 500),
     "a servo of a tendon": (FINGERS.format(tendon="", sections=HOLD), [], [-0.9], 500),
+    "four bars": (FOUR_BARS, [], [0.3], 350),
     "two actuators": (
         ARM.format(body="", joint="", sections="""<actuator>
           <position joint="j1" kp="20" ctrlrange="-1 1"/><velocity joint="j1" kv="1" ctrlrange="-1 1"/>

@@ -103,6 +103,11 @@ fn a_run_of_an_own_task_of_several_files_continues_and_is_read_without_them() {
     let runs = Runs::new();
     let task = example_of_files(&runs);
     let (whole, resumed) = (runs.folder("whole"), runs.folder("resumed"));
+    // The description of the run for actors has the model twice, which is more than other messages may have.
+    let model = task.with_file_name("hopper.xml");
+    let long = format!("model=\"{}\"", "x".repeat(5 << 19));
+    let large = std::fs::read_to_string(&model).unwrap().replace("model=\"hopper\"", &long);
+    std::fs::write(&model, large).unwrap();
     let told = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
     // Eight tetrahedra of 0.1 x 0.1 x 0.25 / 6 m^3 and 1000 kg/m^3.
     let torso = told.lines().find(|line| line.starts_with("link  torso")).unwrap();

@@ -3,7 +3,7 @@
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
-use super::coupling::{Combination, EqualityPlan, TendonPlan};
+use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan};
 use super::softness::{Integration, Softness, SoftnessOverride};
 use super::surface::{ContactOverride, ContactPlan, Surface};
 use crate::scene::Shape;
@@ -29,6 +29,7 @@ pub(crate) struct Blueprint {
     /// Fixed tendons in the order of the model.
     pub(crate) tendons: Vec<TendonPlan>,
     pub(crate) equalities: Vec<EqualityPlan>,
+    pub(crate) connections: Vec<ConnectionPlan>,
     /// Keyframes in the order of the model.
     pub(crate) keyframes: Vec<Keyframe>,
     /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
@@ -326,6 +327,7 @@ impl Blueprint {
         };
         let has_limit = |tendon: &TendonPlan| tendon.range.is_some() || tendon.friction > 0.0;
         if !self.equalities.is_empty()
+            || !self.connections.is_empty()
             || self.tendons.iter().any(has_limit)
             || self.links.iter().any(|link| free(&link.joint) > 0.0)
         {

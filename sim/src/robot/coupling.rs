@@ -1,6 +1,8 @@
 //! Tendons and equality constraints: sums of the positions of several hinges that springs, limits, actuators and
 //! constraints act on.
 
+use rapier3d::math::Vector;
+
 use super::softness::Softness;
 
 /// A weighted sum of the positions of hinges, as their indices among all hinges and their coefficients.
@@ -36,6 +38,24 @@ pub(crate) struct EqualityPlan {
     /// Coefficients of the powers 0 to 4.
     pub(crate) polynomial: [f64; 5],
     pub(crate) softness: Softness,
+}
+
+/// MuJoCo's equality `connect`: two points of links, or of a link and the world, that are at the same place.
+#[derive(Clone, Debug)]
+pub(crate) struct ConnectionPlan {
+    pub(crate) ends: [ConnectedPoint; 2],
+    pub(crate) softness: Softness,
+}
+
+/// A point of a connection.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ConnectedPoint {
+    /// Index of the link; `None` for the world.
+    pub(crate) link: Option<usize>,
+    /// In the link's frame, m.
+    pub(crate) point: Vector,
+    /// Mass centre of the body that the model connects, in the link's frame, m.
+    pub(crate) mass_centre: Vector,
 }
 
 /// A side of an equality.

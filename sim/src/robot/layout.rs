@@ -4,6 +4,7 @@ use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
 use super::blueprint::{Blueprint, FreeJoint, Hinge, JointPlan, LinkPlan, Motion};
+use super::coupling::ConnectedPoint;
 
 /// Largest speed in a state, m/s or rad/s: ten times the speeds that the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
@@ -31,6 +32,8 @@ pub(crate) struct Layout {
     pub(crate) rest: Vec<f32>,
     /// For each tendon, its inverse inertia in the rest pose, 1/kg or 1/(kg m^2): MuJoCo's `tendon_invweight0`.
     pub(crate) tendon_inverses: Vec<f64>,
+    /// For each connection, the sum of the mean inverse masses of the mass centres of its bodies, in the rest pose, 1/kg.
+    pub(crate) connection_inverses: Vec<f64>,
     /// Dry friction of a free root, if it has any.
     pub(crate) free_friction: Option<FreeFriction>,
     /// First coordinate of the free root's quaternion (w x y z), if any.
@@ -154,6 +157,17 @@ impl Layout {
             (0..3).map(along).sum::<f32>() / 3.0
         };
         self.inverse_masses = self.joints.iter().map(inverse_mass).collect();
+        for connection in &blueprint.connections {
+            let inverse = |end: &ConnectedPoint| {
+                let (plan, joint) = (&blueprint.links[end.link?], &self.joints[end.link?]);
+                let link = robot.link(joint.link).expect("the layout is this robot's");
+                let turn = link.local_to_world().rotation;
+                let arm = turn * (end.mass_centre - plan.mass.local_com);
+                Some(shape_inverse(robot, joint.link, arm)[0])
+            };
+            let sum = connection.ends.iter().filter_map(inverse).sum();
+            self.connection_inverses.push(sum);
+        }
         for (plan, joint) in blueprint.links.iter().zip(&self.joints) {
             let link = robot.link(joint.link).expect("the layout is this robot's");
             let turn = link.local_to_world().rotation;
@@ -195,6 +209,7 @@ impl Layout {
             reference: Vec::new(),
             rest: Vec::new(),
             tendon_inverses: Vec::new(),
+            connection_inverses: Vec::new(),
             free_friction: None,
             orientation: None,
         }

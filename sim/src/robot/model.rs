@@ -37,6 +37,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     }
     let tendons = couplings::tendons(&root, &context, &links.plans);
     let equalities = couplings::equalities(&root, &context, &links.plans, &tendons);
+    let connections = couplings::connections(&root, &context, &bodies, &links);
     let motors = actuators::read(&root, &context, &bodies, (&links, &tendons));
     let keyframes = keyframes::read(&root, &context.blockers);
     context.blockers.finish()?;
@@ -51,6 +52,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         motors,
         tendons,
         equalities,
+        connections,
         keyframes,
         bodies: bodies.into_iter().map(|body| body.name).collect(),
         left_out,

@@ -148,9 +148,20 @@ impl Softness {
         position: Option<f64>,
         speed: f64,
     ) -> f64 {
-        let [stiffness, damping] = self.stiffness_and_damping();
         let at = position.unwrap_or(0.0);
-        let stiffness = stiffness * f64::from(self.impedance_at(-at as f32));
+        self.acceleration_at(-at, integration, step_secs, [at, speed])
+    }
+
+    /// As [`Self::reference_acceleration`], for one of several directions that together have the violation `violation`, m.
+    pub(crate) fn acceleration_at(
+        &self,
+        violation: f64,
+        integration: Integration,
+        step_secs: f64,
+        [at, speed]: [f64; 2],
+    ) -> f64 {
+        let [stiffness, damping] = self.stiffness_and_damping();
+        let stiffness = stiffness * f64::from(self.impedance_at(violation as f32));
         let pull = |at: f64, speed: f64| -stiffness * at - damping * speed;
         if integration == Integration::Euler {
             return pull(at, speed);

@@ -1,10 +1,17 @@
 //! Fixed tendons, and equality constraints of joints and tendons.
 
+use rapier3d::math::Pose;
+
 use super::super::blueprint::LinkPlan;
-use super::super::coupling::{Combination, Coupled, EqualityPlan, TendonPlan};
+use super::super::coupling::{
+    Combination, ConnectedPoint, ConnectionPlan, Coupled, EqualityPlan, TendonPlan,
+};
 use super::super::document::{Element, check_names};
+use super::super::frame::vector;
+use super::bodies::Body;
 use super::context::Context;
 use super::joints;
+use super::links::Links;
 
 const TENDON: [&str; 15] = [
     "name",
@@ -29,6 +36,8 @@ const EQUALITY: [&str; 11] = [
     "name", "class", "active", "solref", "solimp", "joint1", "joint2", "tendon1", "tendon2",
     "polycoef", "user",
 ];
+const CONNECTION: [&str; 9] =
+    ["name", "class", "active", "solref", "solimp", "body1", "body2", "anchor", "user"];
 /// Terms that act on a spatial tendon.
 const PASSIVE: [&str; 5] = ["stiffness", "damping", "frictionloss", "range", "armature"];
 
@@ -108,23 +117,86 @@ fn fixed(
     })
 }
 
-/// Reads all active equality constraints.
+/// Reads all active equalities of joints and tendons.
 pub(super) fn equalities(
     root: &Element,
     context: &Context,
     links: &[LinkPlan],
     tendons: &[TendonPlan],
 ) -> Vec<EqualityPlan> {
+    let elements = active(root, context).into_iter().filter(|element| element.tag != "connect");
+    let read = |element: Element| equality(&element, context, links, tendons);
+    elements.filter_map(|element| context.blockers.keep(read(element))).collect()
+}
+
+/// Reads all active equalities of points.
+pub(super) fn connections(
+    root: &Element,
+    context: &Context,
+    bodies: &[Body],
+    links: &Links<'_>,
+) -> Vec<ConnectionPlan> {
+    let elements = active(root, context).into_iter().filter(|element| element.tag == "connect");
+    let read = |element: Element| connection(&element, context, bodies, links);
+    elements.filter_map(|element| context.blockers.keep(read(element))).collect()
+}
+
+/// Active elements of the section, with the attributes of their classes.
+fn active(root: &Element, context: &Context) -> Vec<Element> {
     let read = |element: &Element| {
         let resolved = context.classes.resolve_as("equality", element, None)?;
-        match resolved.flag("active")? {
-            Some(false) => Ok(None),
-            _ => equality(&resolved, context, links, tendons).map(Some),
-        }
+        let is_active = resolved.flag("active")? != Some(false);
+        Ok(Some(resolved).filter(|_| is_active && context.options.has_equalities))
     };
     let elements = root.all("equality").flat_map(|section| &section.children);
-    let elements = elements.filter(|_| context.options.has_equalities);
     elements.filter_map(|element| context.blockers.keep(read(element)).flatten()).collect()
+}
+
+fn connection(
+    element: &Element,
+    context: &Context,
+    bodies: &[Body],
+    links: &Links<'_>,
+) -> Result<ConnectionPlan, String> {
+    element.only(&[&CONNECTION])?;
+    let body = |attribute: &str| match element.text(attribute) {
+        None => Ok(None),
+        Some(name) => {
+            let found = bodies.iter().position(|body| body.name == name).map(Some);
+            let reason = format!("no body has the name `{name}`; state its name");
+            found.ok_or_else(|| element.refuse_for(attribute, reason))
+        }
+    };
+    let [first, second] = [body("body1")?, body("body2")?.or(Some(0))];
+    let (Some(first), Some(second), Some(anchor)) = (first, second, element.numbers("anchor")?)
+    else {
+        return Err(element.refuse("it must have `body1` and `anchor`; add them"));
+    };
+    let frames = rest_frames(&links.plans);
+    let frame = |link: Option<usize>| link.map_or(Pose::IDENTITY, |link| frames[link]);
+    let (link, inside) = links.homes[first];
+    let point = inside * vector(anchor);
+    let place = frame(link) * point;
+    let other = links.homes[second].0;
+    let end = |link, point, body: usize| ConnectedPoint {
+        link,
+        point,
+        mass_centre: links.mass_centres[body],
+    };
+    Ok(ConnectionPlan {
+        ends: [end(link, point, first), end(other, frame(other).inverse() * place, second)],
+        softness: joints::softness(element, ["solref", "solimp"], context)?,
+    })
+}
+
+/// Frames of the links in the world in the rest pose.
+fn rest_frames(links: &[LinkPlan]) -> Vec<Pose> {
+    let mut frames: Vec<Pose> = Vec::with_capacity(links.len());
+    for link in links {
+        let parent = link.parent.map_or(Pose::IDENTITY, |parent| frames[parent]);
+        frames.push(parent * link.rest);
+    }
+    frames
 }
 
 fn equality(
@@ -137,7 +209,7 @@ fn equality(
         "joint" => true,
         "tendon" => false,
         _ => {
-            let reason = "only equalities of joints and of fixed tendons are supported; remove it, or set \
+            let reason = "only equalities of joints, of fixed tendons and `connect` are supported; remove it, or set \
                 active=\"false\"";
             return Err(element.refuse(reason));
         }

@@ -1,6 +1,6 @@
 //! The links of a robot: bodies with joints, and what is fixed to them.
 
-use rapier3d::math::Pose;
+use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::MassProperties;
 
 use super::super::blueprint::{JointPlan, LinkPlan, ShapePlan};
@@ -23,10 +23,14 @@ pub(super) struct Links<'a> {
     carried: Vec<Option<f64>>,
     /// The body of each link; none for the base.
     bodies: Vec<Option<&'a Body>>,
+    /// The link of each body, and the body's frame in it.
+    pub(super) homes: Vec<Home>,
+    /// Mass centre of each body in its link; of a body without a mass its origin.
+    pub(super) mass_centres: Vec<Vector>,
 }
 
 /// Link of a body, `None` for the world, and the body's frame in it.
-type Home = (Option<usize>, Pose);
+pub(super) type Home = (Option<usize>, Pose);
 
 /// The links of all bodies.
 pub(super) fn read<'a>(
@@ -34,21 +38,28 @@ pub(super) fn read<'a>(
     context: &mut Context,
     folder: &mut Folder<'_>,
 ) -> Result<Links<'a>, String> {
-    let mut links =
-        Links { plans: Vec::new(), masses: Vec::new(), carried: Vec::new(), bodies: Vec::new() };
+    let mut links = Links {
+        plans: Vec::new(),
+        masses: Vec::new(),
+        carried: Vec::new(),
+        bodies: Vec::new(),
+        homes: Vec::new(),
+        mass_centres: vec![Vector::ZERO],
+    };
     let base = links.add_base(bodies);
-    let mut homes: Vec<Home> = vec![(base, Pose::IDENTITY)];
+    links.homes.push((base, Pose::IDENTITY));
     for (index, body) in bodies.iter().enumerate().skip(1) {
-        let (parent, frame) = homes[body.parent];
+        let (parent, frame) = links.homes[body.parent];
         let inside = frame * body.frame.pose();
         let home = match links.add_body(body, parent, inside, context) {
             0 => (parent, inside),
             _ => (Some(links.plans.len() - 1), Pose::IDENTITY),
         };
+        links.mass_centres.push(home.1.translation);
         if let Some(link) = home.0 {
             links.add_parts((index, body), link, &home.1, (&mut *context, &mut *folder));
         }
-        homes.push(home);
+        links.homes.push(home);
     }
     if context.blockers.is_empty() {
         links.check_roots(bodies)?;
@@ -151,6 +162,7 @@ impl<'a> Links<'a> {
             let centre = vector(own.solid().centre);
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
+            self.mass_centres[index] = centre;
             context.blockers.keep(self.carry(body, link));
         }
     }

@@ -3,13 +3,16 @@
 use super::Rule;
 use super::motion::Motion;
 use super::problem::{ConstraintProblem, Kind};
-use crate::robot::{Combination, Coupled, EqualityPlan, Layout, Robot, TendonPlan};
+use crate::robot::{Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan};
 
 /// Adds all constraints of a robot's tendons and equalities.
 pub(super) fn add(problem: &mut ConstraintProblem, start: &Motion, robot: &Robot, rule: Rule) {
     let (blueprint, layout) = (robot.blueprint(), robot.layout());
     for equality in &blueprint.equalities {
         add_equality(problem, start, (equality, robot), rule);
+    }
+    for (connection, inverse) in blueprint.connections.iter().zip(&layout.connection_inverses) {
+        add_connection(problem, start, (connection, *inverse), rule);
     }
     for (tendon, inverse) in blueprint.tendons.iter().zip(&layout.tendon_inverses) {
         add_limit(problem, start, (tendon, layout, *inverse), rule);
@@ -68,6 +71,43 @@ fn add_equality(
     let aim = rule.aim(&equality.softness, Some(-off.abs()), speed);
     problem.set_row(aim, f64::from(equality.softness.compliance(off.abs() as f32)) * inverse);
     problem.close(Kind::Hold);
+}
+
+fn add_connection(
+    problem: &mut ConstraintProblem,
+    start: &Motion,
+    (connection, inverse): (&ConnectionPlan, f64),
+    rule: Rule,
+) {
+    let links = connection.ends.map(|end| end.link.map(|link| &start.links[link]));
+    let [first, second] = [0, 1].map(|k| {
+        let point = connection.ends[k].point;
+        links[k].map_or(point, |link| link.pose * point)
+    });
+    let off = (first - second).to_array().map(f64::from);
+    let violation = off.iter().map(|part| part * part).sum::<f64>().sqrt();
+    let compliance = f64::from(connection.softness.compliance(violation as f32)) * inverse;
+    for (axis, part) in off.into_iter().enumerate() {
+        let (row, mut speed) = (problem.add_row(), 0.0);
+        for (sign, link, point) in [(1.0, links[0], first), (-1.0, links[1], second)] {
+            let Some(link) = link else { continue };
+            let point = point.to_array().map(f64::from);
+            let centre = link.mass_centre.to_array();
+            let arm: [f64; 3] = std::array::from_fn(|k| point[k] - centre[k]);
+            for (dof, column) in link.jacobian.iter().enumerate() {
+                let [b, c] = [(axis + 1) % 3, (axis + 2) % 3];
+                let turned = column[3 + b] * arm[c] - column[3 + c] * arm[b];
+                let moved = sign * (column[axis] + turned);
+                row[dof] += moved;
+                speed += moved * start.speeds[dof];
+            }
+        }
+        let softness = &connection.softness;
+        let aim =
+            softness.acceleration_at(violation, rule.integration, rule.step_secs, [part, speed]);
+        problem.set_row(aim, compliance);
+        problem.close(Kind::Hold);
+    }
 }
 
 fn add_limit(

@@ -127,7 +127,7 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
         (
             section("<equality>\n<weld body1=\"b\"/></equality>"),
-            "line 6, <weld>: only equalities of joints and of fixed tendons",
+            "line 6, <weld>: only equalities of joints, of fixed tendons and `connect`",
         ),
         (
             section("\n<tendon><spatial name=\"t\" stiffness=\"1\"/></tendon>"),
