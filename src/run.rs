@@ -106,8 +106,8 @@ pub(crate) fn prepare(
     };
     // The learner claims the folder later, after the actors have started.
     RunFolder::demand_free(&folder)?;
-    config.resolved.set_text(keys::FILLED_IN, &offered.description, keys::URL);
-    config.resolved.set_text("run.dir", &folder.display().to_string(), "run folder");
+    config.resolved.set(keys::FILLED_IN, offered.description.as_str(), keys::URL);
+    config.resolved.set("run.dir", folder.display().to_string(), "run folder");
     let mut launch = launch(&config, offered, &folder, fingerprint);
     if let Some(folder) = &resumed.resume {
         resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;

@@ -109,11 +109,12 @@ pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let Some((key, lacking)) = given.find(|(_, lacking)| !lacking.is_empty()) else {
         return Ok(());
     };
-    Err(ConfigError::NoEffect {
-        place: resolved.origin(key).to_owned(),
-        key: key.clone(),
-        needs: format!("{}{}", listed(&lacking), instead(&lacking, resolved)),
-    })
+    let needs = listed(&lacking);
+    let instead = instead(&lacking, resolved);
+    let detail = format!(
+        "`{key}` has no effect in this run: it needs {needs}{instead}; leave it out or change that"
+    );
+    Err(ConfigError::at(resolved.origin(key), detail))
 }
 
 /// Remarks on settings without an effect, for the comments of a configuration; empty for other settings.

@@ -156,15 +156,17 @@ fn refuse_if_meant(name: &str) -> Result<(), ConfigError> {
     let variable =
         |key: &&str| format!("{ENVIRONMENT_PREFIX}{}", key.to_uppercase().replace('.', "__"));
     let meant = meant.iter().map(variable).collect::<Vec<_>>().join(" or ");
-    Err(ConfigError::NoVariable { name: name.to_owned(), meant })
+    Err(ConfigError::Other(format!("environment variable {name} is no setting; write {meant}")))
 }
 
 /// What an argument without a value is, that is not the first.
 fn misplaced(argument: &str) -> ConfigError {
-    match presets::find(presets::TASKS, argument) {
-        Some(_) => ConfigError::TaskNotFirst(argument.to_owned()),
-        None => ConfigError::NoSetting(argument.to_owned()),
-    }
+    ConfigError::Other(match presets::find(presets::TASKS, argument) {
+        Some(_) => format!("`{argument}` is a task, and the task comes first, before all settings"),
+        None => {
+            format!("`{argument}` is no setting; write key.path=value, for example run.seed=7")
+        }
+    })
 }
 
 /// The files of the task, the preset and the algorithm that the other layers choose. What a preset says for one algorithm
@@ -232,13 +234,9 @@ fn chosen(
     let name = values[kind].as_str().expect("every layer is fitted to base.toml, where it is text");
     presets::find(known, name).ok_or_else(|| {
         let names: Vec<&str> = known.iter().map(|preset| preset.name).collect();
-        ConfigError::UnknownName {
-            place: place.to_owned(),
-            kind,
-            name: name.to_owned(),
-            nearest: keys::nearest(name, names.iter().copied()).map(str::to_owned),
-            known: names.join(", "),
-        }
+        let tip = tip(name, names.iter().copied());
+        let known = names.join(", ");
+        ConfigError::at(place, format!("unknown {kind} `{name}`{tip}; known: {known}"))
     })
 }
 
@@ -265,12 +263,13 @@ fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
 /// The name of a file for messages, and its text.
 fn read(path: &Path) -> Result<(String, String), ConfigError> {
     let place = path.display().to_string();
-    let unreadable = |detail: String| ConfigError::Unreadable { place: place.clone(), detail };
-    let size = std::fs::metadata(path).map_err(|e| unreadable(e.to_string()))?.len();
+    let unreadable = |error| ConfigError::at(&place, error);
+    let size = std::fs::metadata(path).map_err(unreadable)?.len();
     if size > FILE_LIMIT_BYTES {
-        return Err(unreadable(format!("{size} bytes, the limit is {FILE_LIMIT_BYTES}")));
+        let detail = format!("{size} bytes, the limit is {FILE_LIMIT_BYTES}");
+        return Err(ConfigError::at(place, detail));
     }
-    let text = std::fs::read_to_string(path).map_err(|e| unreadable(e.to_string()))?;
+    let text = std::fs::read_to_string(path).map_err(unreadable)?;
     Ok((place, text))
 }
 
@@ -287,7 +286,8 @@ fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
         }
         let default = known(place, &key)?;
         let fitted = keys::fitted(value.clone(), default);
-        let fitted = fitted.ok_or_else(|| wrong_kind(place, &key, default, &value.to_string()))?;
+        let wrong = || wrong_kind(place, &key, keys::kind(default), &value.to_string());
+        let fitted = fitted.ok_or_else(wrong)?;
         values.insert(key, fitted);
     }
     Ok(SettingsLayer { place: place.to_owned(), source: Source::Program, values })
@@ -296,7 +296,7 @@ fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
 fn setting_layer(place: &str, key: &str, text: &str) -> Result<SettingsLayer, ConfigError> {
     let default = known(place, key)?;
     let value = keys::parsed(text, default)
-        .ok_or_else(|| wrong_kind(place, key, default, &format!("`{text}`")))?;
+        .ok_or_else(|| wrong_kind(place, key, keys::kind(default), &format!("`{text}`")))?;
     let values = BTreeMap::from([(key.to_owned(), value)]);
     Ok(SettingsLayer { place: place.to_owned(), source: Source::User, values })
 }
@@ -312,25 +312,28 @@ fn known(place: &str, key: &str) -> Result<&'static Value, ConfigError> {
     if let Some(default) = DEFAULTS.get(key) {
         return Ok(default);
     }
-    let (place, key) = (place.to_owned(), key.to_owned());
-    if let Some(inside) = first_inside(&key) {
+    if let Some(inside) = first_inside(key) {
         let expected = format!("a table with keys such as `{inside}`");
-        return Err(ConfigError::WrongKind { place, key, expected, found: "a value".into() });
+        return Err(wrong_kind(place, key, &expected, "a value"));
     }
-    let nearest = keys::nearest(&key, DEFAULTS.keys().map(String::as_str)).map(str::to_owned);
-    Err(ConfigError::UnknownKey { place, key, nearest })
+    let tip = tip(key, DEFAULTS.keys().map(String::as_str));
+    Err(ConfigError::UnknownKey { place: place.to_owned(), key: key.to_owned(), tip })
 }
 
-fn wrong_kind(place: &str, key: &str, default: &Value, found: &str) -> ConfigError {
+fn wrong_kind(place: &str, key: &str, expected: &str, found: &str) -> ConfigError {
     let found = found.split_whitespace().collect::<Vec<_>>().join(" ");
-    let expected = keys::kind(default).to_owned();
-    ConfigError::WrongKind { place: place.to_owned(), key: key.to_owned(), expected, found }
+    ConfigError::at(place, format!("`{key}` must be {expected}, found {found}"))
+}
+
+fn tip<'a>(word: &str, known: impl Iterator<Item = &'a str>) -> String {
+    let nearest = keys::nearest(word, known);
+    nearest.map_or_else(String::new, |name| format!("; did you mean `{name}`?"))
 }
 
 fn parsed(place: &str, text: &str) -> Result<Table, ConfigError> {
     text.parse().map_err(|error| {
         let (line, detail) = line_and_message(text, &error);
-        ConfigError::Unreadable { place: format!("{place}:{line}"), detail }
+        ConfigError::at(format!("{place}:{line}"), detail)
     })
 }
 

@@ -4,7 +4,6 @@
 
 use learner::launch::Launch;
 use proto::{Digest, RunDescription};
-use toml::Value;
 
 use super::resolved::Resolved;
 use crate::config::keys::URL;
@@ -74,7 +73,7 @@ pub(crate) fn fit(config: &mut RunConfig, launch: &mut Launch) -> Result<(), Con
 fn set(resolved: &mut Resolved, steps: u64) {
     // All callers choose at most the steps of an iteration, a setting.
     let steps = i64::try_from(steps).unwrap_or(i64::MAX);
-    resolved.set(MESSAGE, Value::Integer(steps), SLOT);
+    resolved.set(MESSAGE, steps, SLOT);
 }
 
 /// What determines the size of a message.
@@ -142,11 +141,9 @@ fn refused(
 ) -> ConfigError {
     let limit = RunDescription::MESSAGE_LIMIT_BYTES;
     let resolved = &config.resolved;
-    let refused = |key: &str, detail| {
+    let refused = |key: &str, detail: String| {
         let cause = if resolved.is_given(key) { key } else { URL };
-        let place = resolved.origin(cause).to_owned();
-        let key = key.to_owned();
-        ConfigError::Refused { place, key, detail }
+        ConfigError::at(resolved.origin(cause), detail)
     };
     let Some(fitting) = fitting else {
         let least = bytes(run, Sizes { per_slot: 1, message: 1, window: 1 });

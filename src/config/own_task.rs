@@ -185,6 +185,5 @@ fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
 fn refused(place: &str, error: impl std::fmt::Display) -> ConfigError {
     // What cannot be built of a model is listed line by line.
     let lines: Vec<String> = error.to_string().lines().map(name::printable).collect();
-    let detail = lines.join("\n  ");
-    ConfigError::Unreadable { place: place.to_owned(), detail }
+    ConfigError::at(place, lines.join("\n  "))
 }

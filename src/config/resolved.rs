@@ -2,7 +2,7 @@
 //! where the user wrote the setting.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
+use std::fmt::Display;
 
 use policy::SettingError;
 use policy::arrays::hex;
@@ -141,12 +141,8 @@ impl Resolved {
     }
 
     /// Sets a value that the program determines, such as the name of the run folder.
-    pub(crate) fn set_text(&mut self, key: &str, value: &str, origin: &str) {
-        self.set(key, Value::String(value.to_owned()), origin);
-    }
-
-    /// Sets a value that the program determines.
-    pub(crate) fn set(&mut self, key: &str, value: Value, origin: &str) {
+    pub(crate) fn set(&mut self, key: &str, value: impl Into<Value>, origin: &str) {
+        let value = value.into();
         self.entries.insert(key.to_owned(), Entry { value, origin: origin.to_owned() });
     }
 
@@ -173,14 +169,14 @@ impl Resolved {
         let mut current = "";
         for (key, entry) in &self.entries {
             let Some((section, name)) = key.rsplit_once('.') else {
-                push_line(&mut top, key, entry, &comment(key, entry));
+                top += &format!("{key} = {}{}\n", entry.value, comment(key, entry));
                 continue;
             };
             if section != current {
-                push_text(&mut sections, &format!("\n[{section}]\n"));
+                sections += &format!("\n[{section}]\n");
                 current = section;
             }
-            push_line(&mut sections, name, entry, &comment(key, entry));
+            sections += &format!("{name} = {}{}\n", entry.value, comment(key, entry));
         }
         top + &sections
     }
@@ -189,103 +185,27 @@ impl Resolved {
 /// A configuration that cannot be used. Each message is one line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ConfigError {
-    /// A file that cannot be read, or is not TOML.
-    #[error("{place}: {detail}")]
-    Unreadable {
-        /// File, with the line where that is known.
-        place: String,
-        /// Reason.
-        detail: String,
-    },
     /// A key that no part of the program reads.
-    #[error("{place}: unknown key `{key}`{}", suggestion(.nearest.as_deref()))]
+    #[error("{place}: unknown key `{key}`{tip}")]
     UnknownKey {
         /// Layer that sets the key.
         place: String,
         /// Dotted path.
         key: String,
-        /// The known key that is spelled most alike.
-        nearest: Option<String>,
+        /// The known key that is spelled most alike, as a question.
+        tip: String,
     },
-    /// A value of another kind than the default's.
-    #[error("{place}: `{key}` must be {expected}, found {found}")]
-    WrongKind {
-        /// Layer that sets the key.
-        place: String,
-        /// Dotted path.
-        key: String,
-        /// Kind of value that fits.
-        expected: String,
-        /// The value that was found.
-        found: String,
-    },
-    /// A value of the right kind that its crate refuses: out of range, or an unknown choice.
-    #[error("{place}: {}", named(.key, .detail))]
-    Refused {
-        /// Layer that sets the key.
-        place: String,
-        /// Dotted path.
-        key: String,
-        /// Reason, with the allowed values.
-        detail: String,
-    },
-    /// A setting that changes nothing in the run.
-    #[error(
-        "{place}: `{key}` has no effect in this run: it needs {needs}; leave it out or change that"
-    )]
-    NoEffect {
-        /// Layer that sets the key.
-        place: String,
-        /// Dotted path.
-        key: String,
-        /// What would give it an effect, and what there is instead.
-        needs: String,
-    },
-    /// An unknown name of a task, an algorithm or a preset.
-    #[error("{place}: unknown {kind} `{name}`{}; known: {known}", suggestion(.nearest.as_deref()))]
-    UnknownName {
-        /// Layer that gives the name.
-        place: String,
-        /// `task`, `algorithm` or `preset`.
-        kind: &'static str,
-        /// The name as given.
-        name: String,
-        /// The known name that is spelled most alike.
-        nearest: Option<String>,
-        /// All known names.
-        known: String,
-    },
-    /// An argument that is not `key.path=value`.
-    #[error("`{0}` is no setting; write key.path=value, for example run.seed=7")]
-    NoSetting(String),
-    /// A task that follows a setting.
-    #[error("`{0}` is a task, and the task comes first, before all settings")]
-    TaskNotFirst(String),
-    /// An environment variable with the prefix of settings that names no setting.
-    #[error("environment variable {name} is no setting; write {meant}")]
-    NoVariable {
-        /// The variable.
-        name: String,
-        /// Variables that are settings.
-        meant: String,
-    },
-    /// A setting that a resumed run may not change.
-    #[error("{place}: `{key}` cannot change on resume: the run has {old}, found {new}; {allowed}")]
-    FixedOnResume {
-        /// Layer that sets the key.
-        place: String,
-        /// Dotted path.
-        key: String,
-        /// Value of the run, or its length.
-        old: String,
-        /// Requested value, or the resulting length.
-        new: String,
-        /// What a resume may change.
-        allowed: String,
-    },
+    /// Any other error, in words.
+    #[error("{0}")]
+    Other(String),
 }
 
 impl ConfigError {
+    /// An error of the layer or file `place`.
+    pub(crate) fn at(place: impl Display, detail: impl Display) -> Self {
+        Self::Other(format!("{place}: {detail}"))
+    }
+
     /// The error `detail` about `keys`, with the place of the first of them that the user gave, or whose file the user chose;
     /// with that of the first if there is none. The error begins with the first key.
     pub(crate) fn refused(resolved: &Resolved, keys: &[&str], detail: &str) -> Self {
@@ -297,7 +217,16 @@ impl ConfigError {
         } else {
             format!("{key} = {} does not fit: {detail}", resolved.plain(key))
         };
-        Self::Refused { place: resolved.origin(key).to_owned(), key: key.to_owned(), detail }
+        Self::of_key(resolved.origin(key), key, &detail)
+    }
+
+    /// The error `detail`, or one with the key where that lacks it, as serde's do.
+    pub(super) fn of_key(place: &str, key: &str, detail: &str) -> Self {
+        if detail.contains(key) {
+            Self::at(place, detail)
+        } else {
+            Self::at(place, format!("`{key}`: {detail}"))
+        }
     }
 
     /// As [`Self::refused`], about the key of `error` and the keys that its range names.
@@ -323,26 +252,9 @@ pub(super) fn in_words(message: &str) -> String {
     NUMBERS.into_iter().fold(line, replaced)
 }
 
-fn push_line(text: &mut String, name: &str, entry: &Entry, comment: &str) {
-    push_text(text, &format!("{name} = {}{comment}\n", entry.value));
-}
-
-fn push_text(text: &mut String, more: &str) {
-    text.write_str(more).expect("writing to a string cannot fail");
-}
-
 /// The setting with which the user chose the file of the program that sets `key`.
 fn choice(resolved: &Resolved, key: &str) -> Option<&'static str> {
     let origin = resolved.origin(key);
     let (_, choice) = CHOICES.iter().find(|(folder, _)| origin.starts_with(folder))?;
     resolved.is_given(choice).then_some(*choice)
-}
-
-/// Adds the key to messages that lack it: crates name the key in an error of range, serde does not name it.
-fn named(key: &str, detail: &str) -> String {
-    if detail.contains(key) { detail.to_owned() } else { format!("`{key}`: {detail}") }
-}
-
-fn suggestion(nearest: Option<&str>) -> String {
-    nearest.map_or_else(String::new, |name| format!("; did you mean `{name}`?"))
 }

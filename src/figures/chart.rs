@@ -100,15 +100,7 @@ fn mean(values: &[f64]) -> f64 {
 
 /// A count with commas: `1,000,000`.
 pub(crate) fn thousands(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::new();
-    for (position, digit) in digits.chars().enumerate() {
-        if position > 0 && (digits.len() - position).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
+    indicatif::HumanCount(count).to_string()
 }
 
 /// Seconds as people say them: `42s`, `3m07s`, `2h05m`.

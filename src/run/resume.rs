@@ -31,27 +31,27 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
         }
         if new.resolved.entries[key].value != *value {
             let allowed = if keys::is_length(key) { DECAYS.to_owned() } else { may_change() };
-            return Err(ConfigError::FixedOnResume {
-                place: new.resolved.origin(key).to_owned(),
-                key: key.to_owned(),
-                old: old.resolved.shown(key),
-                new: new.resolved.shown(key),
-                allowed,
-            });
+            let values = (old.resolved.shown(key), new.resolved.shown(key));
+            return Err(fixed(new, key, values, &allowed));
         }
     }
     if new.iterations() < old.iterations() {
         let lowered = |key: &&&str| new.resolved.shown(key) != old.resolved.shown(key);
         let key = keys::LENGTH.iter().find(lowered).unwrap_or(&keys::LENGTH[0]);
-        return Err(ConfigError::FixedOnResume {
-            place: new.resolved.origin(key).to_owned(),
-            key: (*key).to_owned(),
-            old: length(old),
-            new: length(new),
-            allowed: MAY_RISE.to_owned(),
-        });
+        return Err(fixed(new, key, (length(old), length(new)), MAY_RISE));
     }
     Ok(())
+}
+
+fn fixed(
+    config: &RunConfig,
+    key: &str,
+    (old, new): (String, String),
+    allowed: &str,
+) -> ConfigError {
+    let detail =
+        format!("`{key}` cannot change on resume: the run has {old}, found {new}; {allowed}");
+    ConfigError::at(config.resolved.origin(key), detail)
 }
 
 /// Length of a run in iterations, with `run.env_steps` if that setting determines it.

@@ -23,7 +23,7 @@ pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), Con
     let file = folder.join(CONFIG);
     let read = match plain_file::refusal(&file) {
         None => RunConfig::of_file(&file).map_err(|error| of_another_version(folder, error)),
-        Some(why) => Err(unreadable(&file, why.to_string())),
+        Some(why) => Err(ConfigError::at(file.display(), why)),
     };
     let own = read.and_then(|config| unchanged(&file, folder, config));
     let Err(why) = own else { return own.map(|config| (file, config)) };
@@ -122,7 +122,7 @@ fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig,
             let detail = format!(
                 "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"
             );
-            Err(unreadable(file, detail))
+            Err(ConfigError::at(file.display(), detail))
         }
         _ => Ok(config),
     }
@@ -144,11 +144,7 @@ fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
     let detail = format!(
         "unknown key `{key}`: another version made the run, {version}, commit {commit}; train again"
     );
-    ConfigError::Unreadable { place: place.clone(), detail }
-}
-
-fn unreadable(file: &Path, detail: String) -> ConfigError {
-    ConfigError::Unreadable { place: file.display().to_string(), detail }
+    ConfigError::at(place, detail)
 }
 
 #[cfg(test)]
