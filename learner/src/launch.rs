@@ -14,7 +14,7 @@ use crate::lease::end_states::StateReader;
 use crate::lease::sample::random_number;
 use crate::observe::metrics::Metrics;
 use crate::store::checkpoint::{self, CheckpointError, Loaded};
-use crate::store::run_folder::{RunFolder, RunFolderError};
+use crate::store::run_folder::{RunFolder, RunFolderError, demand_config};
 use crate::train::assemble::problem;
 use crate::train::environments::Environments;
 use crate::train::evaluation::Evaluations;
@@ -69,7 +69,11 @@ impl Launch {
     /// # Errors
     /// Names the field of the description that is invalid, such as a message that is too large.
     pub fn validate(&self) -> Result<(), LearnerError> {
-        self.description(Incarnation(0)).validate().map_err(LearnerError::Description)
+        self.description(Incarnation(0)).validate().map_err(|refusal| {
+            LearnerError::Other(format!(
+                "the run cannot be described to actors; the field of the message is {refusal}"
+            ))
+        })
     }
 
     /// The description that actors would get if a slot had one environment.
@@ -141,11 +145,11 @@ pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError
     let iteration = resumed.as_ref().map_or(0, |loaded| loaded.checkpoint.iteration);
     if iteration > launch.iterations {
         let path = resumed.map_or_else(PathBuf::new, |loaded| loaded.path);
-        return Err(LearnerError::PastTheEnd {
-            path,
-            found: iteration,
-            iterations: launch.iterations,
-        });
+        return Err(LearnerError::Other(format!(
+            "{} stands at iteration {iteration}, past the {} that this run should have",
+            path.display(),
+            launch.iterations
+        )));
     }
     folder.begin(&launch.config_toml, &launch.manifest())?;
     let description = launch.description(Incarnation(random_number()));
@@ -191,11 +195,7 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
         );
     }
     let expected = launch.config_sha256.to_string();
-    if loaded.manifest.config_sha256 != expected {
-        let path = loaded.path;
-        let found = loaded.manifest.config_sha256;
-        return Err(RunFolderError::OtherConfig { path, found, expected }.into());
-    }
+    demand_config(&loaded.path, &loaded.manifest.config_sha256, &expected)?;
     Ok(Some(loaded))
 }
 
@@ -253,10 +253,7 @@ fn thread_count(threads: usize) -> usize {
 fn pool(threads: usize) -> Result<ThreadPool, LearnerError> {
     let name = |index| format!("update-{index}");
     ThreadPoolBuilder::new().num_threads(thread_count(threads)).thread_name(name).build().map_err(
-        |error| LearnerError::Threads {
-            what: "the pool of update threads",
-            detail: error.to_string(),
-        },
+        |error| LearnerError::Other(format!("cannot start the pool of update threads: {error}")),
     )
 }
 

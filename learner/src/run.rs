@@ -1,6 +1,7 @@
 //! A whole run: the folder, the service on its socket, the trainer on its thread, and their end.
 
 use std::any::Any;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -41,11 +42,11 @@ pub async fn run(
     let states = launch.states.clone();
     let facts = Facts::of(&launch);
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
-    let (trainer, description) =
-        prepared.map_err(|error| LearnerError::Panic(error.to_string()))??;
+    let (trainer, description) = prepared
+        .map_err(|error| LearnerError::Other(format!("the trainer panicked: {error}")))??;
     let listener = listener.into();
     let address = listener.listener.local_addr();
-    let address = address.map_err(|error| LearnerError::Service(error.to_string()))?;
+    let address = address.map_err(service_ended)?;
     let token = listener.token.as_ref().map(|required| &required.token);
     trainer.folder.note_token(token)?;
     trainer.folder.note_address(address)?;
@@ -114,8 +115,8 @@ impl Server {
         let _sent = self.close.send(());
         match tokio::time::timeout(CLOSING, &mut self.task).await {
             Ok(Ok(Ok(()))) => Ok(()),
-            Ok(Ok(Err(error))) => Err(LearnerError::Service(error.to_string())),
-            Ok(Err(error)) => Err(LearnerError::Service(error.to_string())),
+            Ok(Ok(Err(error))) => Err(service_ended(error)),
+            Ok(Err(error)) => Err(service_ended(error)),
             Err(_) => {
                 self.task.abort();
                 Ok(())
@@ -142,18 +143,16 @@ async fn on_own_thread(trainer: RunningTrainer) -> Result<Summary, LearnerError>
         // Sending fails only if the whole run has been dropped.
         let _sent = sender.send(trainer.train());
     });
-    let thread = thread.map_err(|error| LearnerError::Threads {
-        what: "the trainer",
-        detail: error.to_string(),
-    })?;
-    match ended.await {
-        Ok(result) => result,
-        Err(_) => Err(LearnerError::Panic(
-            thread
-                .join()
-                .map_or_else(panic_message, |()| "the trainer ended without a result".to_owned()),
-        )),
-    }
+    let thread = thread
+        .map_err(|error| LearnerError::Other(format!("cannot start the trainer: {error}")))?;
+    ended.await.unwrap_or_else(|_| {
+        let why = thread.join().map_or_else(panic_message, |()| "no result".to_owned());
+        Err(LearnerError::Other(format!("the trainer panicked: {why}")))
+    })
+}
+
+fn service_ended(error: impl Display) -> LearnerError {
+    LearnerError::Other(format!("the service ended: {error}"))
 }
 
 fn panic_message(panic: Box<dyn Any + Send>) -> String {

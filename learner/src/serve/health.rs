@@ -18,14 +18,6 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Why a learner is not healthy, or why a call to it failed.
 #[derive(Debug, thiserror::Error)]
 pub enum HealthError {
-    /// The URL is invalid.
-    #[error("`{url}` is not a URL such as http://HOST:50051: {detail}")]
-    Address {
-        /// The invalid URL.
-        url: String,
-        /// The reason.
-        detail: String,
-    },
     /// The learner cannot be reached or did not respond.
     #[error("{url} does not answer: {detail}")]
     Unreachable {
@@ -34,22 +26,9 @@ pub enum HealthError {
         /// The reason.
         detail: String,
     },
-    /// The learner rejected the call.
-    #[error("{url} rejected the call: {detail}")]
-    Refused {
-        /// URL of the learner.
-        url: String,
-        /// The learner's reason.
-        detail: String,
-    },
-    /// The learner reports another status than `SERVING`.
-    #[error("{url} reports {status}")]
-    NotServing {
-        /// URL of the learner.
-        url: String,
-        /// The status, in the protocol's spelling.
-        status: &'static str,
-    },
+    /// The URL is invalid, or the learner rejected the call or reports another status than `SERVING`.
+    #[error("{0}")]
+    Final(String),
 }
 
 /// Checks once that the learner at `url` reports `SERVING`, within `timeout`, over TLS with `tls`.
@@ -71,18 +50,17 @@ pub async fn demand_serving(
     let answer = answer.map_err(|_| timed_out(url, timeout))??;
     match answer.status() {
         ServingStatus::Serving => Ok(()),
-        other => Err(HealthError::NotServing { url: url.to_owned(), status: other.as_str_name() }),
+        other => Err(HealthError::Final(format!("{url} reports {}", other.as_str_name()))),
     }
 }
 
 /// The endpoint at `url`, with the client certificate of `tls`.
 fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
-    let invalid = |error: tonic::transport::Error| HealthError::Address {
-        url: url.to_owned(),
-        detail: innermost(&error),
+    let wrong = |detail: String| {
+        HealthError::Final(format!("`{url}` is not a URL such as http://HOST:50051: {detail}"))
     };
-    security::addresses::check_port(url)
-        .map_err(|port| HealthError::Address { url: url.to_owned(), detail: port.to_string() })?;
+    let invalid = |error: tonic::transport::Error| wrong(innermost(&error));
+    security::addresses::check_port(url).map_err(|port| wrong(port.to_string()))?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
     let Some(tls) = tls else { return Ok(endpoint) };
     let mut config = ClientTlsConfig::new()
@@ -132,15 +110,14 @@ fn timed_out(url: &str, timeout: Duration) -> HealthError {
 
 /// The error for a failed call: rejected by the learner at `url`, or lost in transit.
 pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
-    let url = url.to_owned();
     let detail = explanation(status);
     match status.code() {
         Code::InvalidArgument
         | Code::FailedPrecondition
         | Code::PermissionDenied
         | Code::Unauthenticated
-        | Code::Unimplemented => HealthError::Refused { url, detail },
-        _ => HealthError::Unreachable { url, detail },
+        | Code::Unimplemented => HealthError::Final(format!("{url} rejected the call: {detail}")),
+        _ => HealthError::Unreachable { url: url.to_owned(), detail },
     }
 }
 

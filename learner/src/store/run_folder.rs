@@ -14,8 +14,6 @@ use serde_json::Value;
 use crate::store::durable::{self, FileError};
 use crate::store::{checkpoint, plain_file};
 
-pub use place::PlaceError;
-
 /// The resolved configuration.
 pub const CONFIG: &str = "config.toml";
 /// Versions, hashes and the fingerprint.
@@ -51,17 +49,6 @@ pub enum RunFolderError {
     /// A file or folder could not be written or read.
     #[error(transparent)]
     File(#[from] FileError),
-    /// It is no place for a run.
-    #[error(transparent)]
-    Place(#[from] PlaceError),
-    /// Another learner works on it.
-    #[error("{path} is in use by another learner (process {process})")]
-    Locked {
-        /// The folder.
-        path: PathBuf,
-        /// The other's process id, as it wrote it.
-        process: String,
-    },
     /// A new run would overwrite another.
     #[error("{path} holds a run already; resume it, or choose another folder")]
     Taken {
@@ -83,19 +70,6 @@ pub enum RunFolderError {
         /// Where it was.
         path: PathBuf,
     },
-    /// The run was started with other semantic settings.
-    #[error(
-        "{path} belongs to a run with config {found}, this one has {expected}: a resume may change \
-         nothing that touches results, and raise run.iterations"
-    )]
-    OtherConfig {
-        /// What belongs to the other run.
-        path: PathBuf,
-        /// Hash of that run's semantic settings.
-        found: String,
-        /// Hash of the semantic settings now.
-        expected: String,
-    },
     /// A small file of the folder does not hold what it should.
     #[error("{path} is damaged: {detail}")]
     Damaged {
@@ -104,12 +78,16 @@ pub enum RunFolderError {
         /// What is wrong.
         detail: String,
     },
+    /// Another learner works on it, it is no place for a run, or the run has other settings.
+    #[error("{0}")]
+    Other(String),
 }
 
 impl RunFolderError {
     fn in_use(path: &Path) -> Self {
         let process = plain_file::read_to_string(&path.join(LOCK)).unwrap_or_default();
-        Self::Locked { path: path.to_path_buf(), process: process.trim().to_owned() }
+        let (path, process) = (path.display(), process.trim());
+        Self::Other(format!("{path} is in use by another learner (process {process})"))
     }
 }
 
@@ -277,7 +255,6 @@ impl RunFolder {
     }
 
     fn check_manifest(&self, expected: &str) -> Result<(), RunFolderError> {
-        let path = self.file(MANIFEST);
         let manifest = match self.manifest() {
             Ok(manifest) => manifest,
             Err(why) => {
@@ -286,17 +263,30 @@ impl RunFolder {
                 return Ok(());
             }
         };
-        let found = manifest["config_sha256"].as_str().unwrap_or_default().to_owned();
-        if found == expected {
-            return Ok(());
-        }
-        Err(RunFolderError::OtherConfig { path, found, expected: expected.to_owned() })
+        let found = manifest["config_sha256"].as_str().unwrap_or_default();
+        demand_config(&self.file(MANIFEST), found, expected)
     }
 
     /// The manifest, which is always an object.
     fn manifest(&self) -> Result<Value, RunFolderError> {
         manifest::read(&self.file(MANIFEST))
     }
+}
+
+/// Refuses `path` of a run whose semantic settings have the hash `found`, if this run's have another, `expected`.
+pub(crate) fn demand_config(
+    path: &Path,
+    found: &str,
+    expected: &str,
+) -> Result<(), RunFolderError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(RunFolderError::Other(format!(
+        "{} belongs to a run with config {found}, this one has {expected}: a resume may change nothing that touches \
+         results, and raise run.iterations",
+        path.display()
+    )))
 }
 
 #[cfg(test)]

@@ -23,7 +23,8 @@ const BEGUN_AGAIN: &str = "environments/begun_again";
 pub struct Environments {
     /// `H` of each agent, 0 without a recurrent state.
     hidden_sizes: Vec<usize>,
-    limits: Vec<Limit>,
+    /// Step limit of each environment's first episode.
+    limits: Vec<u32>,
     starts: Vec<Start>,
     episode_return: Vec<f64>,
     episode_length: Vec<u64>,
@@ -34,23 +35,14 @@ pub struct Environments {
     faults: u64,
 }
 
-/// Step limit of an environment's first episode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Limit {
-    steps: u32,
-    /// Whether the episode is shorter than usual; its return is then not comparable.
-    shortened: bool,
-}
-
 impl Environments {
     /// The state of `count` environments of `run` before the first iteration. With `Phase::Staggered`, the first episode of environment `e` of `E` is
     /// truncated after `episode_steps * (e + 1) / E` steps, at least one.
     #[must_use]
     pub fn fresh(run: &RunDescription, count: usize, phase: Phase) -> Self {
         let episode_steps = run.environment.episode_steps;
-        let limits: Vec<Limit> =
-            (0..count).map(|e| limit(e, count, episode_steps, phase)).collect();
-        let start = |limit: &Limit| Start::Fresh { episode: 0, limit: limit.steps };
+        let limits: Vec<u32> = (0..count).map(|e| limit(e, count, episode_steps, phase)).collect();
+        let start = |limit: &u32| Start::Fresh { episode: 0, limit: *limit };
         Self {
             starts: limits.iter().map(start).collect(),
             hidden_sizes: run.hidden_sizes.iter().map(|size| *size as usize).collect(),
@@ -67,19 +59,10 @@ impl Environments {
     /// The slots of an iteration, each with the start states of `per_slot` environments; the last slot has the rest.
     #[must_use]
     pub fn work(&self, iteration: u64, per_slot: usize) -> Vec<RolloutWork> {
-        let slot = |(slot, starts): (usize, &[Start])| RolloutWork {
-            iteration,
-            slot: slot as u32,
-            environments: starts
-                .iter()
-                .enumerate()
-                .map(|(position, start)| EnvironmentStart {
-                    environment: (slot * per_slot + position) as u32,
-                    start: start.clone(),
-                })
-                .collect(),
-        };
-        self.starts.chunks(per_slot).enumerate().map(slot).collect()
+        let all = (0..self.starts.len() as u32).collect::<Vec<_>>();
+        let environments = all.chunks(per_slot).map(|slot| self.starts_of(slot));
+        let slot = |(slot, environments)| RolloutWork { iteration, slot, environments };
+        (0..).zip(environments).map(slot).collect()
     }
 
     /// The start states of these environments.
@@ -115,7 +98,7 @@ impl Environments {
             let position = EpisodePosition {
                 episode: self.finished[environment],
                 step: u32::try_from(self.episode_length[environment]).unwrap_or(u32::MAX),
-                limit: u32::try_from(self.limit(environment)).unwrap_or(u32::MAX),
+                limit: self.limit(environment),
             };
             let why = states.check(state, position).err()?;
             Some((environment as u32, why))
@@ -132,7 +115,8 @@ impl Environments {
             let environment = row % batch.environments;
             self.episode_return[environment] += f64::from(batch.reward[row]);
             self.episode_length[environment] += 1;
-            if batch.truncated[row] && self.episode_length[environment] < self.limit(environment) {
+            let limit = u64::from(self.limit(environment));
+            if batch.truncated[row] && self.episode_length[environment] < limit {
                 self.faults += 1;
             }
             if batch.done(row) {
@@ -143,10 +127,10 @@ impl Environments {
     }
 
     /// Step limit of the environment's current episode.
-    fn limit(&self, environment: usize) -> u64 {
+    fn limit(&self, environment: usize) -> u32 {
         match self.finished[environment] {
-            0 => self.limits[environment].steps.into(),
-            _ => self.episode_steps.into(),
+            0 => self.limits[environment],
+            _ => self.episode_steps,
         }
     }
 
@@ -157,8 +141,8 @@ impl Environments {
     }
 
     fn finish_episode(&mut self, environment: usize) {
-        let shortened = self.finished[environment] == 0 && self.limits[environment].shortened;
-        if !shortened {
+        // The return of a first episode that is shorter than usual is not comparable.
+        if self.limit(environment) == self.episode_steps {
             self.recent.push_back(self.episode_return[environment]);
         }
         while self.recent.len() > RECENT {
@@ -305,15 +289,14 @@ impl Environments {
     }
 }
 
-fn limit(environment: usize, count: usize, episode_steps: u32, phase: Phase) -> Limit {
-    let steps = match phase {
+fn limit(environment: usize, count: usize, episode_steps: u32, phase: Phase) -> u32 {
+    match phase {
         Phase::Lockstep => episode_steps,
         Phase::Staggered => {
             let share = u64::from(episode_steps) * (environment as u64 + 1) / count as u64;
             u32::try_from(share).map_or(episode_steps, |share| share.max(1))
         }
-    };
-    Limit { steps, shortened: steps < episode_steps }
+    }
 }
 
 fn state_name(environment: usize) -> String {

@@ -30,31 +30,6 @@ const OWN: [&str; 11] = [
 /// Folder in the root of a file system.
 const LOST_AND_FOUND: &str = "lost+found";
 
-/// Why a folder cannot be that of a run.
-#[derive(Debug, thiserror::Error)]
-pub enum PlaceError {
-    /// The folder is inside another run.
-    #[error(
-        "{path} is inside the run {run}, and no run starts inside another; choose another folder"
-    )]
-    InsideRun {
-        /// The folder.
-        path: PathBuf,
-        /// The run, or the checkpoint.
-        run: PathBuf,
-    },
-    /// A file of the run is a link, a pipe or a device.
-    #[error(
-        "{path} cannot be written: {why}; remove it, or move the whole run folder and link to that"
-    )]
-    NotPlain {
-        /// The file or folder.
-        path: PathBuf,
-        /// What it is.
-        why: String,
-    },
-}
-
 impl RunFolder {
     /// Whether the folder contains a run: a manifest, or checkpoints whose manifest is lost. A checkpoint's folder does not.
     #[must_use]
@@ -88,10 +63,14 @@ impl RunFolder {
     ///
     /// # Errors
     /// Names the folder and the run.
-    pub fn demand_outside_runs(path: &Path) -> Result<(), PlaceError> {
+    pub fn demand_outside_runs(path: &Path) -> Result<(), RunFolderError> {
         match Self::around(path) {
             None => Ok(()),
-            Some(run) => Err(PlaceError::InsideRun { path: path.to_path_buf(), run }),
+            Some(run) => Err(RunFolderError::Other(format!(
+                "{} is inside the run {}, and no run starts inside another; choose another folder",
+                path.display(),
+                run.display()
+            ))),
         }
     }
 
@@ -126,12 +105,15 @@ impl RunFolder {
 }
 
 /// Refuses links, pipes and devices in the place of the run's own files.
-pub(super) fn demand_plain(path: &Path) -> Result<(), PlaceError> {
+pub(super) fn demand_plain(path: &Path) -> Result<(), RunFolderError> {
     let own = entries(path).unwrap_or_default().into_iter().filter(|name| is_own(name));
     for own in own.map(|name| path.join(name)) {
         let is_folder = own.symlink_metadata().is_ok_and(|found| found.is_dir());
         if let Some(why) = plain_file::refusal(&own).filter(|_| !is_folder) {
-            return Err(PlaceError::NotPlain { path: own, why: why.to_string() });
+            return Err(RunFolderError::Other(format!(
+                "{} cannot be written: {why}; remove it, or move the whole run folder and link to that",
+                own.display()
+            )));
         }
     }
     Ok(())
