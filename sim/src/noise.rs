@@ -31,6 +31,10 @@ pub(crate) enum DrawPurpose {
     SensorNoise = 9,
     /// Time, size and direction of a push; the index has the push and its window.
     Push = 10,
+    /// Slope of the ground.
+    Slope = 11,
+    /// Heights of fixed shapes.
+    Terrain = 12,
 }
 
 /// The generator of a draw: ChaCha8 with the episode's key, on the stream `purpose * 2^32 + index`.

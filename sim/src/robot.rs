@@ -28,7 +28,8 @@ use crate::state::StateBounds;
 pub use actuator::{Actuator, Torque};
 pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
 pub(crate) use blueprint::{
-    Blueprint, Cone, GroundForm, JointPlan, Keyframe, Law, LinkPlan, MotorPlan, ShapePlan,
+    Blueprint, Cone, GroundForm, GroundPlan, JointPlan, Keyframe, Law, LinkPlan, MotorPlan,
+    ShapePlan,
 };
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::runs::{Runs, inspect, refused, succeeded, text, train};
+use crate::runs::{Runs, inspect, refused, succeeded, text, train, weights};
 
 /// Writes the example into a new folder and returns the path of its task file.
 fn example(runs: &Runs) -> std::path::PathBuf {
@@ -120,11 +120,57 @@ fn a_run_of_an_own_task_of_several_files_continues_and_is_read_without_them() {
     assert_eq!(inspect(&whole), inspect(&resumed));
     let run = text(&resumed);
     succeeded(&["eval", run, "--episodes", "1"]);
+    assert!(refused(&["eval", run, "--disturbed"]).contains("the task has no [disturbance]"));
     succeeded(&["film", run, "--frames", "1"]);
     succeeded(&["record", run]);
     succeeded(&["export", run, "--onnx", text(&runs.folder("onnx"))]);
     let config = std::fs::read_to_string(resumed.join("config.toml")).unwrap();
     assert!(config.contains("0 0 0.25") && !config.contains("trunk.stl"), "{config}");
+}
+
+/// A command and most kinds of disturbances, for the end of the example's task file.
+const DISTURBED: &str = r#"
+[command]
+forward = [0.5, 1.5]
+
+[disturbance]
+friction = [0.5, 1.5]
+motor_strength = [0.8, 1.2]
+action_delay = [0, 2]
+observation_delay = [0, 2]
+sensor_noise = { positions = { normal = 0.01 } }
+
+[[disturbance.push]]
+link = "torso"
+force = [100.0, 200.0]
+duration_secs = 0.1
+period_secs = 0.2
+"#;
+
+#[test]
+fn a_disturbed_task_has_the_same_weights_with_any_actors_and_its_logs_replay() {
+    let runs = Runs::new();
+    let task = example(&runs);
+    let plain = std::fs::read_to_string(&task).unwrap();
+    std::fs::write(&task, plain + DISTURBED).unwrap();
+    let told = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
+    for line in ["command forward: 0.5 to 1.5 m/s", "push of torso: 100 to 200 N for 0.1 s"] {
+        assert!(told.contains(&format!("drawn {line}")), "{told}");
+    }
+    let (whole, resumed) = (runs.folder("whole"), runs.folder("resumed"));
+    let named = format!("task={}", text(&task));
+    train(&whole, &[&named, "run.iterations=2", "run.actors=1", "log.episodes=all"]);
+    train(&resumed, &[&named, "run.iterations=1", "run.actors=2"]);
+    succeeded(&["train", "--resume", text(&resumed), "run.iterations=2"]);
+    assert_eq!(weights(&whole), weights(&resumed));
+    succeeded(&["log", "--replay", text(&whole)]);
+    let results = |more: &[&str]| -> serde_json::Value {
+        let arguments = [&["eval", text(&whole), "--episodes", "2", "--json"], more].concat();
+        serde_json::from_str(&succeeded(&arguments)).unwrap()
+    };
+    let both = results(&["--disturbed"]);
+    assert_eq!(results(&[])["episodes"], both["episodes"]);
+    assert_ne!(both["episodes"], both["disturbed"]["episodes"]);
 }
 
 #[test]

@@ -9,19 +9,20 @@ mod push;
 mod row;
 
 use proto::{FeatureRole, FeatureSpec};
+use rand::RngCore;
 use rapier3d::math::Vector;
 
 use super::definition::refused;
 use super::names::Names;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
-use crate::robot::{JointPlan, LinkPlan, Robot};
+use crate::robot::{GroundForm, GroundPlan, JointPlan, LinkPlan, Robot};
 use crate::state::EpisodeDraws;
 use crate::world::EpisodeConditions;
 use push::Push;
 pub(crate) use row::DisturbanceRow;
 pub(super) use row::ascending;
-use row::{PayloadRow, SensorRow};
+use row::{PayloadRow, SensorRow, WorldAxis};
 
 /// Largest number of pushes, and of payloads.
 const MOST_ROWS: usize = 100;
@@ -33,6 +34,10 @@ pub(crate) struct DisturbanceRanges {
     pushes: Vec<Push>,
     /// Links of the payloads.
     loaded: Vec<usize>,
+    /// Fixed shapes of the terrain, each with its row.
+    raised: Vec<(usize, usize)>,
+    /// Gravity of the model, m/s^2, and the axes in which the ground can slope.
+    gravity: (Vector, Vec<WorldAxis>),
     motors: Vec<String>,
     hinges: Vec<String>,
     /// Names of the measured coordinates, then of the velocities; the second number is that of the coordinates.
@@ -74,6 +79,8 @@ impl DisturbanceRanges {
                 .map(|(row, link)| Push::new(row, link, robot))
                 .collect::<Result<_, _>>()?,
             loaded,
+            raised: raised(row, robot)?,
+            gravity: (robot.blueprint().gravity, push::horizontal(robot)),
             motors: robot.actuators().map(|motor| motor.name.to_owned()).collect(),
             hinges: robot.hinges().map(|(name, _)| name.to_owned()).collect(),
             measured: (names, coordinates),
@@ -122,6 +129,8 @@ impl DisturbanceRanges {
         DrawnEpisode {
             conditions: EpisodeConditions {
                 friction: factors(row.friction, DrawPurpose::Friction, 1)[0],
+                gravity: row.slope.map(|range| self.tilted(range, &mut rng(DrawPurpose::Slope))),
+                rises: if draws.is_disturbed { self.rises(draws.key) } else { Vec::new() },
                 payloads: self
                     .loaded
                     .iter()
@@ -145,6 +154,22 @@ impl DisturbanceRanges {
             bias,
             forces: self.pushes.iter().map(|push| (push.link, Vector::ZERO)).collect(),
         }
+    }
+
+    /// Gravity on ground with a drawn slope, in the axes of the ground, m/s^2.
+    fn tilted(&self, slope: [f32; 2], rng: &mut impl RngCore) -> Vector {
+        let (gravity, axes) = &self.gravity;
+        let angle = noise::within(rng, slope);
+        let along = push::direction(rng, axes) * gravity.length();
+        *gravity * libm::cosf(angle) + along * libm::sinf(angle)
+    }
+
+    /// Draws the heights of the terrain.
+    fn rises(&self, key: [u8; 32]) -> Vec<(usize, f32)> {
+        let mut rng = generator(key, DrawPurpose::Terrain, 0);
+        let mut rise = |height: [f32; 2]| noise::within(&mut rng, height);
+        let raised = self.raised.iter();
+        raised.map(|(ground, row)| (*ground, rise(self.row.terrain[*row].height))).collect()
     }
 
     /// Sets the forces of the step that starts now, the step `step` of the episode.
@@ -201,6 +226,14 @@ impl DisturbanceRanges {
         if row.friction.is_some() {
             each(&|| "friction".to_owned(), conditions.friction);
         }
+        for (axis, name) in ["x", "y"].iter().enumerate().filter(|_| row.slope.is_some()) {
+            let gravity = conditions.gravity.map_or(0.0, |gravity| gravity[axis]);
+            each(&|| format!("gravity.{name}"), gravity);
+        }
+        for (index, (_, terrain)) in self.raised.iter().enumerate() {
+            let rise = conditions.rises.get(index).map_or(0.0, |(_, rise)| *rise);
+            each(&|| format!("terrain.{}.{index}", row.terrain[*terrain].body), rise);
+        }
         for (index, payload) in row.payload.iter().enumerate() {
             let mass = conditions.payloads.get(index).map_or(0.0, |(_, mass)| *mass);
             each(&|| format!("payload.{}", payload.link), mass);
@@ -230,6 +263,24 @@ impl DisturbanceRanges {
             }
         }
     }
+}
+
+/// Fixed shapes of the bodies that the terrain names, each with its row.
+fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, SimError> {
+    let blueprint = robot.blueprint();
+    let solid = |ground: &&GroundPlan| matches!(ground.form, GroundForm::Solid(_));
+    let grounds = || blueprint.grounds.iter().enumerate();
+    let bodies =
+        blueprint.grounds.iter().filter(solid).map(|ground| &blueprint.bodies[ground.body]);
+    let known: Vec<String> = bodies.cloned().collect();
+    let names = Names::new("fixed body with a shape that is no plane", &known);
+    let mut found = Vec::new();
+    for (index, terrain) in row.terrain.iter().enumerate() {
+        names.index("disturbance.terrain.body", &terrain.body)?;
+        let own = grounds().filter(|(_, ground)| blueprint.bodies[ground.body] == terrain.body);
+        found.extend(own.filter(|(_, ground)| solid(ground)).map(|(ground, _)| (ground, index)));
+    }
+    Ok(found)
 }
 
 /// Indices of the links that the rows of `disturbance.KEY` name.

@@ -2,6 +2,7 @@
 
 mod commands;
 mod disturbances;
+mod physics;
 mod starts;
 
 use super::*;

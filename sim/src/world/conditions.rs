@@ -3,6 +3,7 @@
 use rapier3d::math::Vector;
 
 use super::{Enforcer, World};
+use crate::robot::ShapeTag;
 
 /// Physical parameters of an episode, relative to the model's. The softness of contacts and limits, which depends on the
 /// masses of the rest pose, stays that of the model.
@@ -10,6 +11,10 @@ use super::{Enforcer, World};
 pub(crate) struct EpisodeConditions {
     /// Factor of the friction of all contacts.
     pub(crate) friction: f32,
+    /// Gravity instead of the model's, m/s^2.
+    pub(crate) gravity: Option<Vector>,
+    /// Indices of fixed shapes of the blueprint and what is added to their heights, m.
+    pub(crate) rises: Vec<(usize, f32)>,
     /// Links and the masses added at their mass centres, kg.
     pub(crate) payloads: Vec<(usize, f32)>,
     /// Factor of the torque of each motor, in the order of the blueprint, `[A]`.
@@ -40,6 +45,15 @@ impl World {
     /// Changes the copy of the template. The engine sums masses of bodies and colliders; those of colliders are 0.
     pub(super) fn apply_conditions(&mut self) {
         let Some(conditions) = &self.conditions else { return };
+        self.physics.gravity = conditions.gravity.unwrap_or(self.robot.blueprint().gravity);
+        let moving = self.robot.blueprint().shapes().count();
+        for (_, collider) in self.physics.colliders.iter_mut() {
+            let fixed = ShapeTag::of(collider).shape.checked_sub(moving);
+            let rise = conditions.rises.iter().find(|(ground, _)| Some(*ground) == fixed);
+            if let Some((_, rise)) = rise {
+                collider.set_translation(collider.translation() + Vector::Z * *rise);
+            }
+        }
         match &mut self.enforcer {
             Enforcer::Constraints(constraints) => constraints.set_friction(conditions.friction),
             Enforcer::Engine(_) => {

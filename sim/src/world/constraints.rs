@@ -77,7 +77,7 @@ impl Constraints {
         physics.step_with_events(self, &());
         let multibody = physics.multibody_joints.get_multibody(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
-        self.start.read(robot.blueprint(), layout, multibody, &physics.bodies);
+        self.start.read(robot.blueprint(), layout, multibody, physics);
         self.weigh(layout, drives, multibody);
         self.constrain(robot, physics);
         if self.problem.has_constraints() {

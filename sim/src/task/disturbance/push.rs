@@ -1,5 +1,6 @@
 //! Pushes: forces on a link at drawn times.
 
+use rand::RngCore;
 use rapier3d::math::Vector;
 
 use super::super::definition::refused;
@@ -29,11 +30,7 @@ impl Push {
     pub(super) fn new(row: &PushRow, link: usize, robot: &Robot) -> Result<Self, SimError> {
         let place = format!("disturbance.push ({})", row.link);
         let steps = |secs: f32| (f64::from(secs) / robot.step_secs()).round().max(1.0) as u32;
-        let is_planar = matches!(robot.blueprint().links[0].joint, JointPlan::Planar(_));
-        let axes = row.axes.clone().unwrap_or_else(|| match is_planar {
-            true => vec![WorldAxis::X],
-            false => vec![WorldAxis::X, WorldAxis::Y],
-        });
+        let axes = row.axes.clone().unwrap_or_else(|| horizontal(robot));
         if axes.is_empty() {
             return Err(refused(format!(
                 "{place}.axes is empty; write, for example, [\"x\", \"y\"]"
@@ -64,13 +61,26 @@ impl Push {
             return Vector::ZERO;
         }
         let size = noise::within(&mut rng, self.force);
-        let mut direction = Vector::ZERO;
-        for axis in &self.axes {
-            direction[*axis as usize] = noise::normal(&mut rng);
-        }
-        match direction.length() {
-            0.0 => direction,
-            length => direction * (size / length),
-        }
+        direction(&mut rng, &self.axes) * size
+    }
+}
+
+/// Horizontal axes along which the robot can move.
+pub(super) fn horizontal(robot: &Robot) -> Vec<WorldAxis> {
+    match robot.blueprint().links[0].joint {
+        JointPlan::Planar(_) => vec![WorldAxis::X],
+        _ => vec![WorldAxis::X, WorldAxis::Y],
+    }
+}
+
+/// Draws a unit vector uniformly from the directions that the axes span.
+pub(super) fn direction(rng: &mut impl RngCore, axes: &[WorldAxis]) -> Vector {
+    let mut direction = Vector::ZERO;
+    for axis in axes {
+        direction[*axis as usize] = noise::normal(rng);
+    }
+    match direction.length() {
+        0.0 => Vector::X,
+        length => direction / length,
     }
 }

@@ -17,6 +17,10 @@ pub(crate) struct DisturbanceRow {
     pub(super) push: Vec<PushRow>,
     /// Masses on links, drawn per episode.
     pub(super) payload: Vec<PayloadRow>,
+    /// Changes of the heights of fixed shapes, drawn per shape and episode.
+    pub(super) terrain: Vec<TerrainRow>,
+    /// Angle of the ground, rad, drawn per episode in a random direction.
+    pub(super) slope: Option<[f32; 2]>,
     /// Factor of the friction of all contacts, drawn per episode.
     pub(super) friction: Option<[f32; 2]>,
     /// Factor of the torque of each motor, drawn per motor and episode.
@@ -66,6 +70,15 @@ pub(super) struct PayloadRow {
     pub(super) mass: [f32; 2],
 }
 
+/// The shapes of a body that is fixed to the world, other than planes.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TerrainRow {
+    pub(super) body: String,
+    /// m, added to the height of each shape.
+    pub(super) height: [f32; 2],
+}
+
 /// Errors of the measured coordinates (m or rad) and velocities (m/s or rad/s).
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -82,6 +95,7 @@ impl DisturbanceRow {
                 ascending(&format!("disturbance.{key}"), range, [0.0, most])
             })
         };
+        given("slope", self.slope, 1.5)?;
         given("friction", self.friction, 10.0)?;
         given("motor_strength", self.motor_strength, 10.0)?;
         given("joint_damping", self.joint_damping, 100.0)?;
@@ -93,6 +107,10 @@ impl DisturbanceRow {
         }
         for payload in &self.payload {
             given(&format!("payload ({}).mass", payload.link), Some(payload.mass), 1e4)?;
+        }
+        for terrain in &self.terrain {
+            let key = format!("disturbance.terrain ({}).height", terrain.body);
+            ascending(&key, terrain.height, [-100.0, 100.0])?;
         }
         for (key, range) in
             [("action_delay", self.action_delay), ("observation_delay", self.observation_delay)]
@@ -135,7 +153,16 @@ impl DisturbanceRow {
         let payload = |PayloadRow { link, mass: [low, high] }: &PayloadRow| {
             format!("payload on {link}: {low} to {high} kg, in each episode")
         };
+        let terrain = |TerrainRow { body, height: [low, high] }: &TerrainRow| {
+            format!(
+                "heights of {body}: changed by {low} to {high} m, for each shape, in each episode"
+            )
+        };
+        let slope = |[low, high]: [f32; 2]| {
+            format!("slope of the ground: {low} to {high} rad, in each episode")
+        };
         let single = [
+            self.slope.map(slope),
             factor("friction", "the model's", self.friction),
             factor("motor strength", "the model's, for each motor", self.motor_strength),
             factor("joint damping", "the model's, for each joint", self.joint_damping),
@@ -144,6 +171,7 @@ impl DisturbanceRow {
         ];
         let mut lines: Vec<String> = self.push.iter().map(push).collect();
         lines.extend(self.payload.iter().map(payload));
+        lines.extend(self.terrain.iter().map(terrain));
         lines.extend(single.into_iter().flatten());
         lines.extend(self.sensor_noise.lines("sensor noise", "in each step"));
         lines.extend(self.sensor_bias.lines("sensor bias", "in each episode"));

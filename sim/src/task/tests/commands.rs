@@ -57,7 +57,7 @@ fn velocity_tracking_is_the_exponential_of_the_squared_error() {
         world.step(&[0.5, -0.5], &mut outcome).unwrap();
         let state = world.state_of(0);
         let error = f64::from(state[SPEED] - state[COMMAND]);
-        let expected = 2.0 * (-error * error / 0.25).exp();
+        let expected = 2.0 * libm::exp(-error * error / 0.25);
         assert!((f64::from(outcome[0].reward) - expected).abs() < 1e-6, "{outcome:?}");
     }
 }

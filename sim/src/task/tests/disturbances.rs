@@ -1,7 +1,6 @@
 //! Disturbances: their draws, what they change, who observes it, and refusals.
 
-use super::{EnvironmentBatch, HOPPER, Outcome, changed, config, environments, hopper, refusal};
-use crate::config::ObservationMode;
+use super::{EnvironmentBatch, HOPPER, Outcome, changed, hopper, refusal};
 use crate::environment_batch::Disturbances;
 use crate::error::{SimError, StateError};
 
@@ -42,18 +41,18 @@ fn shown_to(audience: &str, lines: &str) -> Box<dyn EnvironmentBatch> {
     hopper(&format!("{file}\n{lines}"))
 }
 
-fn start(world: &mut dyn EnvironmentBatch, key: u8) {
+pub(super) fn start(world: &mut dyn EnvironmentBatch, key: u8) {
     world.reset(0, 4, 1000, [key; 32]).unwrap();
 }
 
-fn step(world: &mut dyn EnvironmentBatch, action: [f32; 2]) -> Outcome {
+pub(super) fn step(world: &mut dyn EnvironmentBatch, action: [f32; 2]) -> Outcome {
     let mut outcome = [Outcome::default()];
     world.step(&action, &mut outcome).unwrap();
     outcome[0]
 }
 
 /// Actions that differ from step to step.
-fn action(step: usize) -> [f32; 2] {
+pub(super) fn action(step: usize) -> [f32; 2] {
     [((7 * step) % 11) as f32 / 11.0 - 0.5, ((5 * step) % 13) as f32 / 13.0 - 0.5]
 }
 
@@ -198,55 +197,6 @@ fn evaluations_are_disturbed_only_if_the_task_states_it_and_a_state_remembers_it
     }
 }
 
-/// Global states of 60 steps of the example with this model and these lines.
-fn trace(lines: &str, [from, to]: [&str; 2]) -> Vec<Vec<f32>> {
-    let mut config = config(&format!("{HOPPER}\n{lines}"), ObservationMode::FullId);
-    let model = &mut config.definition.as_mut().unwrap().model;
-    assert!(model.contains(from));
-    *model = model.replace(from, to);
-    let mut world = environments(&config, 1).unwrap();
-    start(&mut *world, 1);
-    let state = |index| {
-        step(&mut *world, action(index));
-        world.state_of(0)
-    };
-    (0..60).map(state).collect()
-}
-
-#[test]
-fn factors_of_friction_strength_and_damping_are_those_of_a_changed_model() {
-    for (line, change) in [
-        ("friction = [0.5, 0.5]", ["friction=\"0.9 ", "friction=\"0.45 "]),
-        ("motor_strength = [0.5, 0.5]", ["gear=\"80\"", "gear=\"40\""]),
-        ("joint_damping = [2.0, 2.0]", ["damping=\"1\"", "damping=\"2\""]),
-    ] {
-        let disturbed = trace(&format!("[disturbance]\n{line}"), ["hopper", "hopper"]);
-        assert_eq!(disturbed, trace("", change), "{line}");
-        assert_ne!(disturbed, trace("", ["hopper", "hopper"]), "{line}");
-    }
-}
-
-#[test]
-fn a_servos_strength_scales_its_torque_at_every_control_and_motion() {
-    let servo = |factor: f32| {
-        let [kp, kv, force] = [40.0, 2.0, 10.0].map(|number| number * factor);
-        format!(
-            "<position joint=\"hip\" gear=\"2\" ctrlrange=\"-1 1\" kp=\"{kp}\" kv=\"{kv}\" \
-             forcerange=\"-{force} {force}\"/>"
-        )
-    };
-    let (motor, whole, half) =
-        ("<motor name=\"hip\" joint=\"hip\" gear=\"80\"/>", servo(1.0), servo(0.5));
-    let uneven = "[disturbance]\nmotor_strength = [0.5, 0.5]";
-    // The other motor's strength is compensated by its gear.
-    let strong = |servo: &str, gear: &str| {
-        format!("{servo}<!-- --><motor name=\"knee\" joint=\"knee\" gear=\"{gear}\"/>")
-    };
-    let both = format!("{motor}\n    <motor name=\"knee\" joint=\"knee\" gear=\"80\"/>");
-    let weakened = trace(uneven, [&both, &strong(&whole, "80")]);
-    assert_eq!(weakened, trace("", [&both, &strong(&half, "40")]));
-}
-
 #[test]
 fn a_delay_of_two_actions_is_two_steps_of_action_0_first() {
     let mut delayed = with("[disturbance]\naction_delay = [2, 2]");
@@ -344,27 +294,6 @@ fn each_window_has_one_push_of_its_duration_in_a_random_direction() {
 }
 
 #[test]
-fn a_push_accelerates_the_mass_centre_by_force_over_mass() {
-    let start_high = "coordinates = { rootz = 10.0 }\npositions";
-    let file = changed("positions", start_high);
-    let push = "[[disturbance.push]]\nlink = \"shank\"\nforce = [10, 10]\nduration_secs = 10\nperiod_secs = 10";
-    let centre = |disturbances| {
-        let mut world = hopper(&format!("{file}\n{push}"));
-        world.set_disturbances(disturbances);
-        start(&mut *world, 1);
-        for _ in 0..20 {
-            step(&mut *world, [0.0; 2]);
-        }
-        world.world(0).unwrap().centre_of_mass()[0]
-    };
-    let moved = centre(Disturbances::AsInTraining) - centre(Disturbances::Off);
-    let mass: f32 = super::Robot::masses(hopper(HOPPER).robot().unwrap()).map(|(_, m, _)| m).sum();
-    // 80 semi-implicit steps of h = 5 ms: F / m h^2 (1 + 2 + ... + 80).
-    let expected = 10.0 / mass * 2.5e-5 * 3240.0;
-    assert!((moved.abs() / expected - 1.0).abs() < 0.01, "{moved} m against {expected} m");
-}
-
-#[test]
 fn a_state_whose_flag_is_neither_0_nor_1_is_refused() {
     let mut world = with("[disturbance]\nfriction = [0.5, 0.5]");
     start(&mut *world, 1);
@@ -403,6 +332,10 @@ fn invalid_disturbances_are_refused_with_their_key() {
         (
             push(&format!("force = [0, 1]\n{times}")).replace("torso", "tors"),
             "disturbance.push.link: the robot has no link with a mass that can move `tors`; did you mean `torso`?",
+        ),
+        (
+            "[[disturbance.terrain]]\nbody = \"floor\"\nheight = [0, 1]".to_owned(),
+            "the robot has no fixed body with a shape that is no plane `floor`",
         ),
         (format!("{payload}{payload}"), "disturbance.payload: the link `torso` is named twice"),
     ] {

@@ -3,6 +3,7 @@
 use rapier3d::dynamics::{Multibody, MultibodyJoint, RigidBodySet};
 use rapier3d::glamx::{DMat3, DQuat, DVec3};
 use rapier3d::math::{Pose, Vector};
+use rapier3d::prelude::PhysicsWorld;
 
 use super::problem::ConstraintProblem;
 use crate::robot::{Blueprint, JointMap, JointPlan, Layout, LinkPlan, MapKind};
@@ -44,16 +45,16 @@ impl Motion {
         blueprint: &Blueprint,
         layout: &Layout,
         multibody: &Multibody,
-        bodies: &RigidBodySet,
+        physics: &PhysicsWorld,
     ) {
         self.speeds.clear();
         self.speeds.extend(multibody.generalized_velocity().iter().map(|speed| f64::from(*speed)));
         let mut old = std::mem::take(&mut self.links).into_iter();
         for (plan, map) in blueprint.links.iter().zip(&layout.joints) {
             let memory = old.next().map(|link| link.jacobian).unwrap_or_default();
-            let mut link = LinkMotion::read(map, multibody, bodies, memory);
+            let mut link = LinkMotion::read(map, multibody, &physics.bodies, memory);
             link.velocity = link.velocity_for(&self.speeds);
-            link.pull[0] += link.weight * wide(blueprint.gravity);
+            link.pull[0] += link.weight * wide(physics.gravity);
             link.rates = rates(plan, &link, plan.parent.map(|parent| &self.links[parent]));
             self.links.push(link);
         }

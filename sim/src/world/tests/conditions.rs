@@ -25,6 +25,8 @@ fn swung(mut world: World, force: Vector, payload: f32) -> [f32; 2] {
     let hinges = world.robot().hinges().count();
     world.set_conditions(EpisodeConditions {
         friction: 1.0,
+        gravity: None,
+        rises: Vec::new(),
         payloads: vec![(lower, payload)],
         motor_strengths: vec![1.0],
         joint_dampings: vec![1.0; hinges],

@@ -1,0 +1,122 @@
+//! What disturbances change of the physics: factors, pushes, slopes and terrain.
+
+use super::disturbances::{action, start, step};
+use super::{HOPPER, Robot, changed, config, environments, hopper};
+use crate::config::ObservationMode;
+use crate::environment_batch::Disturbances;
+
+/// Global states of 60 steps of the example with this model and these lines.
+fn trace(lines: &str, [from, to]: [&str; 2]) -> Vec<Vec<f32>> {
+    let mut config = config(&format!("{HOPPER}\n{lines}"), ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    assert!(model.contains(from));
+    *model = model.replace(from, to);
+    let mut world = environments(&config, 1).unwrap();
+    start(&mut *world, 1);
+    let state = |index| {
+        step(&mut *world, action(index));
+        world.state_of(0)
+    };
+    (0..60).map(state).collect()
+}
+
+#[test]
+fn factors_of_friction_strength_and_damping_are_those_of_a_changed_model() {
+    for (line, change) in [
+        ("friction = [0.5, 0.5]", ["friction=\"0.9 ", "friction=\"0.45 "]),
+        ("motor_strength = [0.5, 0.5]", ["gear=\"80\"", "gear=\"40\""]),
+        ("joint_damping = [2.0, 2.0]", ["damping=\"1\"", "damping=\"2\""]),
+    ] {
+        let disturbed = trace(&format!("[disturbance]\n{line}"), ["hopper", "hopper"]);
+        assert_eq!(disturbed, trace("", change), "{line}");
+        assert_ne!(disturbed, trace("", ["hopper", "hopper"]), "{line}");
+    }
+}
+
+#[test]
+fn a_servos_strength_scales_its_torque_at_every_control_and_motion() {
+    let servo = |factor: f32| {
+        let [kp, kv, force] = [40.0, 2.0, 10.0].map(|number| number * factor);
+        format!(
+            "<position joint=\"hip\" gear=\"2\" ctrlrange=\"-1 1\" kp=\"{kp}\" kv=\"{kv}\" \
+             forcerange=\"-{force} {force}\"/>"
+        )
+    };
+    let (motor, whole, half) =
+        ("<motor name=\"hip\" joint=\"hip\" gear=\"80\"/>", servo(1.0), servo(0.5));
+    let uneven = "[disturbance]\nmotor_strength = [0.5, 0.5]";
+    // The other motor's strength is compensated by its gear.
+    let strong = |servo: &str, gear: &str| {
+        format!("{servo}<!-- --><motor name=\"knee\" joint=\"knee\" gear=\"{gear}\"/>")
+    };
+    let both = format!("{motor}\n    <motor name=\"knee\" joint=\"knee\" gear=\"80\"/>");
+    let weakened = trace(uneven, [&both, &strong(&whole, "80")]);
+    assert_eq!(weakened, trace("", [&both, &strong(&half, "40")]));
+}
+
+#[test]
+fn a_push_accelerates_the_mass_centre_by_force_over_mass() {
+    let start_high = "coordinates = { rootz = 10.0 }\npositions";
+    let file = changed("positions", start_high);
+    let push = "[[disturbance.push]]\nlink = \"shank\"\nforce = [10, 10]\nduration_secs = 10\nperiod_secs = 10";
+    let centre = |disturbances| {
+        let mut world = hopper(&format!("{file}\n{push}"));
+        world.set_disturbances(disturbances);
+        start(&mut *world, 1);
+        for _ in 0..20 {
+            step(&mut *world, [0.0; 2]);
+        }
+        world.world(0).unwrap().centre_of_mass()[0]
+    };
+    let moved = centre(Disturbances::AsInTraining) - centre(Disturbances::Off);
+    let mass: f32 = Robot::masses(hopper(HOPPER).robot().unwrap()).map(|(_, m, _)| m).sum();
+    // 80 semi-implicit steps of h = 5 ms: F / m h^2 (1 + 2 + ... + 80).
+    let expected = 10.0 / mass * 2.5e-5 * 3240.0;
+    assert!((moved.abs() / expected - 1.0).abs() < 0.01, "{moved} m against {expected} m");
+}
+
+#[test]
+fn a_slope_tilts_gravity_by_its_angle() {
+    let file = changed("positions", "coordinates = { rootz = 10.0 }\npositions");
+    let centre = |disturbances| {
+        let mut world = hopper(&format!("{file}\n[disturbance]\nslope = [0.2, 0.2]"));
+        world.set_disturbances(disturbances);
+        start(&mut *world, 1);
+        for _ in 0..20 {
+            step(&mut *world, [0.0; 2]);
+        }
+        world.world(0).unwrap().centre_of_mass()
+    };
+    let [sloped, flat] = [Disturbances::AsInTraining, Disturbances::Off].map(centre);
+    // 80 semi-implicit steps of h = 5 ms: g h^2 (1 + 2 + ... + 80), times the sine, and less the cosine.
+    let fall = 9.81 * 2.5e-5 * 3240.0;
+    assert!(((sloped[0] - flat[0]).abs() - fall * 0.198_67).abs() < 1e-3, "{sloped:?} {flat:?}");
+    assert!((sloped[2] - flat[2] - fall * (1.0 - 0.980_07)).abs() < 1e-3, "{sloped:?} {flat:?}");
+}
+
+/// Height of the example after it has fallen onto a box whose upper side is at this height, m.
+fn landed(top: f32, lines: &str) -> f32 {
+    let file = changed("positions = { uniform = 0.005 }", "coordinates = { rootz = 0.5 }");
+    let mut config = config(&format!("{file}\n{lines}"), ObservationMode::FullId);
+    let floor = "<geom name=\"floor\"";
+    let steps = format!(
+        "<geom type=\"box\" size=\"3 3 0.1\" pos=\"0 0 {}\" conaffinity=\"1\"/>{floor}",
+        top - 0.1
+    );
+    let model = &mut config.definition.as_mut().unwrap().model;
+    *model = model.replacen(floor, &steps, 1);
+    let mut world = environments(&config, 1).unwrap();
+    start(&mut *world, 1);
+    for _ in 0..16 {
+        step(&mut *world, [0.0; 2]);
+    }
+    world.world(0).unwrap().lowest_point()
+}
+
+#[test]
+fn terrain_raises_the_fixed_shapes_of_its_body() {
+    let raised = "[[disturbance.terrain]]\nbody = \"world\"\nheight = [0.3, 0.3]";
+    let (low, high, changed) = (landed(0.0, ""), landed(0.3, ""), landed(0.0, raised));
+    assert!((high - changed).abs() < 2e-3, "{high} {changed}");
+    assert!(high - low > 0.2, "{high} {low}");
+}
