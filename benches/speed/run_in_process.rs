@@ -7,10 +7,10 @@ use std::sync::Arc;
 use std::thread::{Builder, scope};
 use std::time::Duration;
 
-use learner::launch;
 use learner::lease::exchange::Exchange;
 use learner::lease::slots::{ConnectionId, Preview, ResultPart};
 use learner::train::environments::Environments;
+use learner::train::prepare::prepare;
 use learner::train::trainer::Outside;
 use policy::PolicySnapshot;
 use proto::{
@@ -40,7 +40,7 @@ pub(crate) struct FirstSlot {
 impl FirstSlot {
     pub(crate) fn of(settings: &CaseSettings) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
-        let (_trainer, run) = launch::prepare(settings.launch(folder.path(), 1)?)?;
+        let (_trainer, run) = prepare(settings.launch(folder.path(), 1)?)?;
         let policy = Updates::new(settings, &settings.problem()?, 1)?.snapshot()?;
         let count = per_slot(settings);
         let environments = Environments::fresh(&run, count, settings.learner.environments.phase);
@@ -76,7 +76,7 @@ pub(crate) fn through_the_exchange(
     iterations: usize,
 ) -> anyhow::Result<IterationLog> {
     let launch = settings.launch(folder, iterations)?;
-    let (trainer, description) = launch::prepare(launch)?;
+    let (trainer, description) = prepare(launch)?;
     let (lease, audit) = (settings.learner.lease, settings.learner.audit);
     let exchange = Exchange::new(description, lease, audit, settings.decoder()?);
     let log = IterationLog::default();

@@ -10,12 +10,13 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 
 use crate::error::LearnerError;
-use crate::launch::{Launch, prepare};
+use crate::launch::Launch;
 use crate::lease::exchange::Exchange;
 use crate::observe::event::Summary;
 use crate::serve::listener::Listener;
 use crate::serve::page::{self, Facts, Page, RunView};
 use crate::serve::service;
+use crate::train::prepare::prepare;
 use crate::train::trainer::{Observer, Outside, RunningTrainer, Trainer};
 
 /// How long the learner waits for actors to disconnect after the run.
@@ -37,10 +38,6 @@ pub async fn run(
     observer: Observer,
     stop: watch::Receiver<bool>,
 ) -> Result<Summary, LearnerError> {
-    let (lease, audit) = (launch.config.lease, launch.config.audit);
-    let connections = launch.config.learner.connections;
-    let states = launch.states.clone();
-    let facts = Facts::of(&launch);
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) = prepared
         .map_err(|error| LearnerError::Other(format!("the trainer panicked: {error}")))??;
@@ -50,8 +47,11 @@ pub async fn run(
     let token = listener.token.as_ref().map(|required| &required.token);
     trainer.folder.note_token(token)?;
     trainer.folder.note_address(address)?;
-    let exchange = Exchange::new(description, lease, audit, states);
-    let _shown = page.map(|page| show(page, facts, &trainer, &exchange));
+    let config = &trainer.launch.config;
+    let connections = config.learner.connections;
+    let states = trainer.launch.states.clone();
+    let exchange = Exchange::new(description, config.lease, config.audit, states);
+    let _shown = page.map(|page| show(page, &trainer, &exchange));
     let asked = Arc::clone(&exchange);
     let broken = Arc::new(AtomicBool::new(false));
     let service_ended = Arc::clone(&broken);
@@ -75,8 +75,8 @@ pub async fn run(
 }
 
 /// Serves the run's page until the returned task set is dropped.
-fn show(page: Page, facts: Facts, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
-    let facts = facts.resumed_at(trainer.iteration);
+fn show(page: Page, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> {
+    let facts = Facts::of(&trainer.launch, trainer.iteration);
     let exchange = Arc::clone(exchange);
     let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();

@@ -4,5 +4,6 @@ pub mod assemble;
 pub mod environments;
 pub mod evaluation;
 pub(crate) mod fail_points;
+pub mod prepare;
 pub(crate) mod provenance;
 pub mod trainer;

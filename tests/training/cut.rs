@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use learner::launch;
 use learner::launch::Launch;
 use learner::lease::exchange::Exchange;
 use learner::observe::event::Event;
+use learner::train::prepare::prepare;
 use learner::train::trainer::Outside;
 
 use crate::actor::ActorThreads;
@@ -37,7 +37,7 @@ fn threads_that_join_later_get_slots_from_the_next_iteration_on_and_change_no_re
     assert_eq!(cuts(alone.path()), [(10, 3); 5]);
     let launch = launch_of(joined.path(), 5, 0);
     let (lease, audit) = (launch.config.lease, launch.config.audit);
-    let (trainer, run) = launch::prepare(launch).unwrap();
+    let (trainer, run) = prepare(launch).unwrap();
     let exchange = Exchange::new(run, lease, audit, crate::hopper::states());
     let actors = Arc::new(Mutex::new(Vec::new()));
     let (join, all) = (Arc::clone(&exchange), Arc::clone(&actors));

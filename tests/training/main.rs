@@ -19,12 +19,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use learner::error::LearnerError;
-use learner::launch;
 use learner::launch::Launch;
 use learner::lease::exchange::Exchange;
 use learner::observe::event::{Event, Summary};
 use learner::store::checkpoint::load_newest;
 use learner::store::run_folder::RunFolderError;
+use learner::train::prepare::prepare;
 use learner::train::trainer::Outside;
 use marl::LearningRateDecay;
 use serde_json::Value;
@@ -39,7 +39,7 @@ fn train_until(
     enough: impl Fn(&Event) -> bool + Send + 'static,
 ) -> Result<Summary, LearnerError> {
     let (lease, audit) = (launch.config.lease, launch.config.audit);
-    let (trainer, run) = launch::prepare(launch).unwrap();
+    let (trainer, run) = prepare(launch).unwrap();
     let exchange = Exchange::new(run, lease, audit, hopper::states());
     let stopping = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stopping);
@@ -213,6 +213,6 @@ fn provenance_contains_slots_actors_and_hashes() {
 fn a_resume_with_fewer_iterations_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     train(launch_in(folder.path(), 2), 1);
-    let error = launch::prepare(resumed(launch_in(folder.path(), 1))).map(drop).unwrap_err();
+    let error = prepare(resumed(launch_in(folder.path(), 1))).map(drop).unwrap_err();
     assert!(error.to_string().contains("stands at iteration 2, past the 1"), "{error}");
 }

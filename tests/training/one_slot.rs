@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use learner::config::{AuditConfig, Fingerprint, LeaseConfig};
-use learner::launch;
 use learner::lease::exchange::Exchange;
 use learner::lease::slots::ConnectionId;
 use learner::train::assemble::problem;
+use learner::train::prepare::prepare;
 use policy::{CoreKind, PolicySnapshot};
 use proto::{
     EnvironmentStart, Lease, LeaseAnswer, PolicyVersion, RolloutOrigin, RolloutWork,
@@ -26,7 +26,7 @@ pub(crate) fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec
     let problem = problem(&launch.environment);
     let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
     let policy = algorithm.snapshot().unwrap();
-    let run = launch::prepare(launch).unwrap().1;
+    let run = prepare(launch).unwrap().1;
     let chunks = hopper::roll_out(&run, &policy, &work());
     (run, policy, chunks)
 }

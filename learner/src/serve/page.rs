@@ -71,8 +71,8 @@ pub(crate) struct Facts {
 }
 
 impl Facts {
-    /// The constants of a run that is about to start.
-    pub(crate) fn of(launch: &Launch) -> Self {
+    /// The constants of a run that starts or is resumed after the iteration `resumed_at`.
+    pub(crate) fn of(launch: &Launch, resumed_at: u64) -> Self {
         let steps = launch.config.environments.steps_per_iteration();
         Self {
             manifest: launch.manifest(),
@@ -80,13 +80,8 @@ impl Facts {
             env_steps: launch.iterations.saturating_mul(steps),
             checkpoint_every: launch.config.checkpoint.every,
             sample_reuse: launch.training.sample_reuse(),
-            resumed_at: 0,
+            resumed_at,
         }
-    }
-
-    /// The same for a run that is resumed after `iteration`.
-    pub(crate) fn resumed_at(self, iteration: u64) -> Self {
-        Self { resumed_at: iteration, ..self }
     }
 }
 

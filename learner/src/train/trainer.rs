@@ -11,17 +11,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use marl::{
-    Algorithm, Batch, LearningRateDecay, MarlError, ObservationMoments, Report, StoredState as _,
-    Surprise,
-};
+use marl::{Algorithm, Batch, MarlError, ObservationMoments, Report, StoredState as _, Surprise};
 use policy::arrays::NamedArrays;
-use proto::{Digest, PolicyVersion, WeightsName};
+use proto::{PolicyVersion, WeightsName};
 use rayon::ThreadPool;
 
-use crate::config::LearnerConfig;
 use crate::error::LearnerError;
-use crate::lease::end_states::StateReader;
+use crate::launch::Launch;
 use crate::lease::exchange::Exchange;
 use crate::lease::slots::SlotRollout;
 use crate::observe::event::{Event, IterationReport, Stage, Summary};
@@ -41,19 +37,12 @@ pub type Observer = Box<dyn FnMut(&Event) + Send>;
 
 /// The state of a run between two iterations.
 pub struct Trainer {
-    pub(crate) config: LearnerConfig,
-    pub(crate) config_sha256: Digest,
-    /// The run's resolved settings.
-    pub(crate) settings_toml: String,
-    pub(crate) last_iteration: u64,
+    /// The settings of the run.
+    pub(crate) launch: Launch,
     pub(crate) observations: ObservationMoments,
     pub(crate) algorithm: Box<dyn Algorithm>,
-    pub(crate) decay: LearningRateDecay,
     pub(crate) surprise: Surprise,
     pub(crate) environments: Environments,
-    pub(crate) states: StateReader,
-    /// What helps if simulated environments diverge; empty for external ones.
-    pub(crate) divergence_remedy: String,
     pub(crate) evaluations: Evaluations,
     pub(crate) iteration: u64,
     /// The newest policies, encoded for actors.
@@ -126,7 +115,7 @@ impl Trainer {
     }
 
     fn steps_after(&self, iteration: u64) -> u64 {
-        iteration * self.config.environments.steps_per_iteration()
+        iteration * self.launch.config.environments.steps_per_iteration()
     }
 }
 
@@ -146,7 +135,7 @@ impl RunningTrainer {
 
     fn run(&mut self) -> Result<Summary, LearnerError> {
         self.evaluate_if_due()?;
-        while self.trainer.iteration < self.trainer.last_iteration {
+        while self.trainer.iteration < self.trainer.launch.iterations {
             let collected = self.collect()?;
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
@@ -178,7 +167,7 @@ impl RunningTrainer {
     /// Writes the last checkpoint, then waits for the last evaluation.
     fn end(&mut self) -> Result<Summary, LearnerError> {
         let saved = self.save_now()?;
-        let complete = self.trainer.iteration >= self.trainer.last_iteration;
+        let complete = self.trainer.iteration >= self.trainer.launch.iterations;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.note_foreign_actors(self.outside.exchange.run_snapshot().foreign_actors);
         self.trainer.metrics.sync()?;
@@ -206,7 +195,7 @@ impl RunningTrainer {
     /// Opens the slots of the next iteration, if there is one, for rollouts with the weights just published.
     fn lease(&mut self) {
         let iteration = self.trainer.iteration;
-        if iteration < self.trainer.last_iteration {
+        if iteration < self.trainer.launch.iterations {
             let per_slot = self.slot_size();
             let slots = self.trainer.environments.work(iteration, per_slot);
             let exchange = &self.outside.exchange;
@@ -221,7 +210,7 @@ impl RunningTrainer {
         let exchange = &self.outside.exchange;
         let threads = exchange.threads();
         let most = exchange.run().environments_per_slot as usize;
-        self.trainer.config.environments.slot_size(threads, most)
+        self.trainer.launch.config.environments.slot_size(threads, most)
     }
 
     /// Writes metrics and provenance of the iteration just finished.
@@ -273,7 +262,7 @@ impl RunningTrainer {
 
     /// Logs once that there are more actor threads than an iteration can have slots.
     fn advise(&mut self, actors: u64) {
-        let advice = idle::advice(actors, &self.trainer.config.environments);
+        let advice = idle::advice(actors, &self.trainer.launch.config.environments);
         if let Some(advice) = advice.filter(|_| !self.advised) {
             tracing::info!("{advice}");
             self.advised = true;
@@ -318,7 +307,7 @@ impl Trainer {
     fn update(&mut self, batch: &Batch) -> Result<Update, LearnerError> {
         let begin = Instant::now();
         fail_points::abort_soon_at("mid-update", self.iteration);
-        let Self { pool, observations, surprise, algorithm, iteration, .. } = self;
+        let Self { launch, pool, observations, surprise, algorithm, iteration, .. } = self;
         let seen = observations.seen(batch);
         let refit = || {
             surprise.refit(&seen, *iteration)?;
@@ -326,7 +315,8 @@ impl Trainer {
         };
         let rewards = pool.install(refit)?;
         let density_secs = begin.elapsed().as_secs_f64();
-        algorithm.scale_learning_rates(self.decay.share(*iteration, self.last_iteration));
+        let decay = launch.training.update.learning_rate_decay;
+        algorithm.scale_learning_rates(decay.share(*iteration, launch.iterations));
         let update = || algorithm.update(&seen, &rewards, *iteration);
         let report = pool.install(update)?;
         pool.install(|| observations.take_in(batch));

@@ -6,10 +6,7 @@ use std::time::Duration;
 
 use policy::{ActorPolicy, Head};
 use proto::wire::policy_service_server::{self, PolicyService, PolicyServiceServer};
-use proto::{
-    ActStep, ActionChoice, ActionDistribution, EnvironmentSpec, MAX_MESSAGE_BYTES, PolicyAgent,
-    PolicyDescription, Refusal, wire,
-};
+use proto::{ActStep, ActionChoice, EnvironmentSpec, MAX_MESSAGE_BYTES, Refusal, wire};
 use security::Role;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
@@ -91,7 +88,7 @@ impl PolicyService for Policies {
         &self,
         _request: Request<wire::DescribePolicyRequest>,
     ) -> Result<Response<wire::DescribePolicyResponse>, Status> {
-        Ok(Response::new(self.served.description().to_wire()))
+        Ok(Response::new(self.served.description()))
     }
 
     type ActStream = ReceiverStream<Result<wire::ActResponse, Status>>;
@@ -163,29 +160,29 @@ async fn answer_steps(
 }
 
 impl ServedPolicies {
-    fn description(&self) -> PolicyDescription {
+    fn description(&self) -> wire::DescribePolicyResponse {
         let newest = self.newest.borrow();
         let agents = self.environment.agents.iter().zip(&newest.policy.agents);
-        let agents = agents.map(|(agent, policy)| PolicyAgent {
-            agent: agent.clone(),
+        let agents = agents.map(|(agent, policy)| wire::PolicyAgent {
+            agent: Some(agent.to_wire()),
             hidden_size: policy.hidden_size() as u32,
-            distribution: distribution(policy.head()),
+            distribution: distribution(policy.head()).into(),
         });
-        PolicyDescription {
+        wire::DescribePolicyResponse {
             run_id: self.run_id.clone(),
             task: self.environment.task.clone(),
-            weights: newest.name,
+            weights: Some(newest.name.to_wire()),
             agents: agents.collect(),
             dt_secs: self.environment.dt_secs,
         }
     }
 }
 
-fn distribution(head: Head) -> ActionDistribution {
+fn distribution(head: Head) -> wire::ActionDistribution {
     match head {
-        Head::Gaussian => ActionDistribution::Gaussian,
-        Head::Categorical { .. } => ActionDistribution::Categorical,
-        Head::Deterministic { .. } => ActionDistribution::ClampedGaussian,
-        Head::Uniform { .. } => ActionDistribution::Uniform,
+        Head::Gaussian => wire::ActionDistribution::Gaussian,
+        Head::Categorical { .. } => wire::ActionDistribution::Categorical,
+        Head::Deterministic { .. } => wire::ActionDistribution::ClampedGaussian,
+        Head::Uniform { .. } => wire::ActionDistribution::Uniform,
     }
 }

@@ -31,7 +31,7 @@ impl RunningTrainer {
 impl Trainer {
     /// Begins new episodes in the environments whose states in the checkpoint at `path` are invalid.
     pub(crate) fn begin_invalid_again(&mut self, path: &Path) {
-        for (environment, why) in self.environments.invalid(&self.states) {
+        for (environment, why) in self.environments.invalid(&self.launch.states) {
             self.environments.begin_again(environment);
             tracing::error!(
                 "environment {environment} begins a new episode: its state in {} cannot be restored: {why}",

@@ -47,13 +47,14 @@ impl RunningTrainer {
     /// Logs that simulated environments diverged in the iteration just finished.
     pub(super) fn report_divergence(&mut self) {
         let trainer = &self.trainer;
-        if trainer.divergence_remedy.is_empty() {
+        let remedy = &trainer.launch.divergence_remedy;
+        if remedy.is_empty() {
             // An external environment may have its own time limit; reaching it is not a fault.
             return;
         }
-        let steps = trainer.config.environments.steps_per_iteration();
+        let steps = trainer.launch.config.environments.steps_per_iteration();
         let faults = (trainer.environments.faults(), steps);
-        match self.divergence.report(trainer.iteration, faults, &trainer.divergence_remedy) {
+        match self.divergence.report(trainer.iteration, faults, remedy) {
             Some((Severity::Severe, line)) => tracing::error!("{line}"),
             Some((Severity::Some, line)) => tracing::warn!("{line}"),
             None => {}

@@ -22,7 +22,7 @@ impl RunningTrainer {
     /// The run folder is lost.
     pub(super) fn save_if_due(&mut self) -> Result<(), LearnerError> {
         let trainer = &self.trainer;
-        let due = trainer.iteration.is_multiple_of(trainer.config.checkpoint.every);
+        let due = trainer.iteration.is_multiple_of(trainer.launch.config.checkpoint.every);
         if !due && trainer.failed_saves == 0 {
             return Ok(());
         }
@@ -78,9 +78,9 @@ impl Trainer {
             policy: self.policy.to_vec(),
         };
         let folder = self.folder.path();
-        let keep = &self.config.checkpoint;
-        let sha256 = self.config_sha256.to_string();
-        let settings = RunSettings { sha256: &sha256, toml: &self.settings_toml };
+        let keep = &self.launch.config.checkpoint;
+        let sha256 = self.launch.config_sha256.to_string();
+        let settings = RunSettings { sha256: &sha256, toml: &self.launch.config_toml };
         let mut before = |step, _: &Path| {
             if step == Step::Rename {
                 fail_points::abort_at("mid-checkpoint", self.iteration);

@@ -1,0 +1,149 @@
+//! Builds a trainer from the settings of a run: a new one, or one that resumes from the newest valid checkpoint.
+
+use std::path::PathBuf;
+
+use marl::{ObservationMoments, Surprise};
+use proto::{Incarnation, RunDescription};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::error::LearnerError;
+use crate::launch::Launch;
+use crate::lease::sample::random_number;
+use crate::observe::metrics::Metrics;
+use crate::store::checkpoint::{self, CheckpointError, Loaded};
+use crate::store::run_folder::{RunFolder, RunFolderError, demand_config};
+use crate::train::assemble::problem;
+use crate::train::environments::Environments;
+use crate::train::evaluation::Evaluations;
+use crate::train::fail_points;
+use crate::train::provenance::Provenance;
+use crate::train::trainer::{Trainer, policy_bytes};
+
+/// Claims the run folder and builds the trainer; nothing is overwritten unless everything fits.
+///
+/// # Errors
+/// Names a folder that is taken, in use or of another run, and a checkpoint that does not fit.
+pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError> {
+    fail_points::demand_known();
+    launch.validate()?;
+    let folder = claim(&launch)?;
+    let resumed = newest(&launch, &folder)?;
+    let iteration = resumed.as_ref().map_or(0, |loaded| loaded.checkpoint.iteration);
+    if iteration > launch.iterations {
+        let path = resumed.map_or_else(PathBuf::new, |loaded| loaded.path);
+        return Err(LearnerError::Other(format!(
+            "{} stands at iteration {iteration}, past the {} that this run should have",
+            path.display(),
+            launch.iterations
+        )));
+    }
+    folder.begin(&launch.config_toml, &launch.manifest())?;
+    let description = launch.description(Incarnation(random_number()));
+    let mut trainer = build(launch, folder, &description, iteration)?;
+    if let Some(loaded) = resumed {
+        trainer.restore(&loaded.checkpoint)?;
+        trainer.begin_invalid_again(&loaded.path);
+        trainer.saved = Some(loaded.saved());
+    }
+    Ok((trainer, description))
+}
+
+fn claim(launch: &Launch) -> Result<RunFolder, RunFolderError> {
+    if launch.resume {
+        RunFolder::claim_existing(&launch.folder, &launch.config_sha256.to_string())
+    } else {
+        RunFolder::claim_new(&launch.folder)
+    }
+}
+
+/// The checkpoint to resume from; `None` for a new run, and for one that ended before its first.
+fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, LearnerError> {
+    if !launch.resume {
+        return Ok(None);
+    }
+    let loaded = match checkpoint::load_newest(folder.path()) {
+        Err(CheckpointError::None { folder }) => {
+            tracing::warn!("{} holds no checkpoint: the run begins again", folder.display());
+            return Ok(None);
+        }
+        loaded => loaded?,
+    };
+    for (path, reason) in &loaded.skipped {
+        tracing::error!("{} is damaged and skipped: {reason}", path.display());
+    }
+    let from = loaded.checkpoint.iteration;
+    let whole = loaded.skipped.is_empty();
+    let latest = checkpoint::named_latest(&checkpoint::folder(folder.path()));
+    if let Some(latest) = latest.filter(|at| *at > from && whole) {
+        let path = loaded.path.display();
+        tracing::error!(
+            "the checkpoint of iteration {latest} is lost; the run continues from {path}"
+        );
+    }
+    let expected = launch.config_sha256.to_string();
+    demand_config(&loaded.path, &loaded.manifest.config_sha256, &expected)?;
+    Ok(Some(loaded))
+}
+
+/// A trainer before the first iteration, whose metrics and provenance reach to `iteration`.
+fn build(
+    launch: Launch,
+    folder: RunFolder,
+    description: &RunDescription,
+    iteration: u64,
+) -> Result<Trainer, LearnerError> {
+    let pool = pool(launch.config.learner.threads)?;
+    let problem = problem(&launch.environment);
+    let algorithm =
+        pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
+    let observations = ObservationMoments::new(launch.observations, &problem);
+    let environments = &launch.config.environments;
+    let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
+    Ok(Trainer {
+        surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
+        environments: Environments::fresh(description, environments.count, environments.phase),
+        evaluations: Evaluations::new(
+            launch.config.evaluation.clone(),
+            environments.steps_per_iteration(),
+            launch.iterations,
+            measured,
+        ),
+        policy: policy_bytes(algorithm.as_ref(), &observations)?,
+        observations,
+        algorithm,
+        iteration: 0,
+        provenance: Provenance::open(folder.path(), iteration)?,
+        folder,
+        metrics,
+        saved: None,
+        failed_saves: 0,
+        pool,
+        launch,
+    })
+}
+
+/// Number of threads; 0 stands for one per core. rayon would read `RAYON_NUM_THREADS` instead.
+fn thread_count(threads: usize) -> usize {
+    match threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    }
+}
+
+fn pool(threads: usize) -> Result<ThreadPool, LearnerError> {
+    let name = |index| format!("update-{index}");
+    ThreadPoolBuilder::new().num_threads(thread_count(threads)).thread_name(name).build().map_err(
+        |error| LearnerError::Other(format!("cannot start the pool of update threads: {error}")),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::thread_count;
+
+    #[test]
+    fn no_number_of_threads_stands_for_one_per_core() {
+        let cores = std::thread::available_parallelism().expect("a machine with cores").get();
+        assert_eq!((thread_count(0), thread_count(3)), (cores, 3));
+    }
+}
