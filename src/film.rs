@@ -50,10 +50,7 @@ pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Re
         .collect();
     let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
     let pixels_per_metre = drawing::scale(&seen, &roots);
-    let (width, height) = size(frames.len(), robot.agents);
-    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
-    sheet.fill(Color::WHITE);
-    let mut captions = Captions::new(width, height);
+    let (mut sheet, mut captions) = sheet(frames.len(), robot.agents)?;
     for (index, frame) in frames.iter().enumerate() {
         let (left, top) = place(index as u32);
         let camera = Camera { middle: roots[index], pixels_per_metre };
@@ -61,7 +58,20 @@ pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Re
         paste(&mut sheet, &panel, left, top);
         captions.frame(&camera, frame.time_secs, left, top);
     }
-    legend(&mut sheet, &mut captions, robot.agents);
+    finished(sheet, captions, robot.agents)
+}
+
+/// A white sheet for `frames` and the legend of `agents`, and its captions.
+fn sheet(frames: usize, agents: usize) -> anyhow::Result<(Pixmap, Captions)> {
+    let (width, height) = size(frames, agents);
+    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
+    sheet.fill(Color::WHITE);
+    Ok((sheet, Captions::new(width, height)))
+}
+
+/// The PNG of a sheet with its legend and captions.
+fn finished(mut sheet: Pixmap, mut captions: Captions, agents: usize) -> anyhow::Result<Vec<u8>> {
+    legend(&mut sheet, &mut captions, agents);
     captions.print_on(&mut sheet)?;
     sheet.encode_png().context("cannot encode the picture")
 }
@@ -95,14 +105,11 @@ pub(crate) fn portrait(
     let middle = pose.links[0].position[0];
     let pixels_per_metre = drawing::scale(std::slice::from_ref(&capsules), &[middle]);
     let camera = Camera { middle, pixels_per_metre };
-    let (width, height) = size(1, robot.agents);
-    let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
-    sheet.fill(Color::WHITE);
+    let (mut sheet, mut captions) = sheet(1, robot.agents)?;
     let mut panel = match view {
         ViewDirection::Side => drawing::panel(&capsules, &camera),
         ViewDirection::Above => drawing::panel_without_floor(&capsules, &camera),
     };
-    let mut captions = Captions::new(width, height);
     let places = joints.iter().map(|&point| {
         let [x, height] = view.plane(point);
         camera.pixel([x, height + lift])
@@ -112,9 +119,7 @@ pub(crate) fn portrait(
         captions.number(number, GAP as f32 + x, GAP as f32 + y);
     }
     paste(&mut sheet, &panel, GAP, GAP);
-    legend(&mut sheet, &mut captions, robot.agents);
-    captions.print_on(&mut sheet)?;
-    sheet.encode_png().context("cannot encode the picture")
+    finished(sheet, captions, robot.agents)
 }
 
 /// From above if the robot is wider than high.

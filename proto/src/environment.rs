@@ -208,7 +208,9 @@ impl EnvironmentSpec {
 }
 
 impl AgentSpec {
-    pub(crate) fn to_wire(&self) -> wire::AgentSpec {
+    /// Converts to the message.
+    #[must_use]
+    pub fn to_wire(&self) -> wire::AgentSpec {
         let ActionSpec { size, low, high, choices } = self.action;
         let size = size as u32;
         let choices = choices.unwrap_or(0);

@@ -31,9 +31,7 @@ pub mod validate;
 pub mod wire;
 mod work;
 
-pub use acting::{
-    ActStep, Acted, ActionChoice, ActionDistribution, PolicyAgent, PolicyDescription,
-};
+pub use acting::{ActStep, Acted, ActionChoice};
 pub use authorization::{AUTHORIZATION, Authorization};
 pub use calls::{
     Ack, AckState, Heartbeat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,

@@ -120,43 +120,30 @@ pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
 
 /// A run without a learner process: finished, stopped or crashed.
 pub(super) struct AtRest {
-    run_id: String,
-    /// The newest checkpoint, if there is one.
-    newest: Option<Reached>,
+    /// The last line of the run.
+    pub(super) last_line: RunLine,
+    has_checkpoint: bool,
     iterations: u64,
-}
-
-/// How far a checkpoint is.
-#[derive(Clone, Copy, Default)]
-struct Reached {
-    iteration: u64,
-    env_steps: u64,
 }
 
 impl AtRest {
     /// Reads the newest checkpoint and the settings of the run in this folder.
     pub(super) fn of(run: &Path) -> anyhow::Result<Self> {
-        let loaded = stored::load_if_any(run)?;
-        let newest = loaded.map(|loaded| Reached {
-            iteration: loaded.checkpoint.iteration,
-            env_steps: loaded.checkpoint.env_steps,
-        });
-        let run_id = run_path::name(run);
+        let newest = stored::load_if_any(run)?.map(|loaded| loaded.checkpoint);
         let iterations = config_of_run(run)?.iterations();
-        Ok(Self { run_id, newest, iterations })
-    }
-
-    /// The last line of the run.
-    pub(super) fn last_line(&self) -> RunLine {
-        let Reached { iteration, env_steps } = self.newest.unwrap_or_default();
-        let run_id = self.run_id.clone();
-        let end = if self.is_finished() { RunEnd::Finished } else { RunEnd::Stopped };
-        RunLine { run_id, iteration, env_steps, end: Some(end), ..RunLine::default() }
+        let has_checkpoint = newest.is_some();
+        let (iteration, env_steps) =
+            newest.map_or((0, 0), |newest| (newest.iteration, newest.env_steps));
+        let is_finished = has_checkpoint && iteration >= iterations;
+        let end = Some(if is_finished { RunEnd::Finished } else { RunEnd::Stopped });
+        let run_id = run_path::name(run);
+        let last_line = RunLine { run_id, iteration, env_steps, end, ..RunLine::default() };
+        Ok(Self { last_line, has_checkpoint, iterations })
     }
 
     /// Whether the run has had its last iteration.
     pub(super) fn is_finished(&self) -> bool {
-        self.newest.is_some_and(|newest| newest.iteration >= self.iterations)
+        self.last_line.end == Some(RunEnd::Finished)
     }
 }
 
@@ -164,12 +151,10 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = Path::new(&arguments.learner.of);
     let rest = AtRest::of(run)?;
     let iterations = rest.iterations;
-    let newest = rest.newest.unwrap_or_default();
-    let Reached { iteration, env_steps } = newest;
-    let state = if rest.is_finished() { "finished" } else { "stopped" };
+    let RunLine { iteration, env_steps, end, .. } = rest.last_line;
     if arguments.json {
         let object = json!({
-            "state": state,
+            "state": end,
             "iteration": iteration,
             "iterations": iterations,
             "env_steps": env_steps,
@@ -181,12 +166,12 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = shell::path(run);
     let steps = thousands(env_steps);
     let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
-    output::line(match (rest.newest, rest.is_finished()) {
-        (None, _) => format!(
+    output::line(match (rest.has_checkpoint, end) {
+        (false, _) => format!(
             "{shown} stopped before its first checkpoint; `s2mia train --resume {run}` begins it again"
         ),
-        (Some(_), true) => format!("{shown} is finished: {at}"),
-        (Some(_), false) => {
+        (true, Some(RunEnd::Finished)) => format!("{shown} is finished: {at}"),
+        (true, _) => {
             format!("{shown} is stopped: {at}; `s2mia train --resume {run}` resumes it")
         }
     });

@@ -88,7 +88,7 @@ impl<'a> Watch<'a> {
                 let next = format!("`s2mia train --resume {run}` starts one");
                 return Err(anyhow::anyhow!("the learner of {of} has ended; {next}"));
             }
-            self.show(&rest.last_line());
+            self.show(&rest.last_line);
             return Ok(RunEnd::Finished);
         };
         let mut operator = operator(&url, learner).await?;

@@ -6,9 +6,7 @@ use std::time::Duration;
 
 use policy::{Draw, DrawKey, PolicySnapshot, Purpose, RunSeed};
 use proto::wire::policy_service_client::PolicyServiceClient;
-use proto::{
-    ActStep, Acted, ActionChoice, ActionDistribution, PolicyDescription, Reason, Refusal, wire,
-};
+use proto::{ActStep, Acted, ActionChoice, AgentSpec, Reason, Refusal, WeightsName, wire};
 use sim::{EnvironmentBatch, Outcome};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -61,9 +59,14 @@ impl Server {
         PolicyServiceClient::connect(self.url.clone()).await.unwrap()
     }
 
-    async fn describe(&self) -> PolicyDescription {
+    async fn describe(&self) -> wire::DescribePolicyResponse {
         let described = self.client().await.describe_policy(wire::DescribePolicyRequest {}).await;
-        PolicyDescription::from_wire(described.unwrap().into_inner()).unwrap()
+        described.unwrap().into_inner()
+    }
+
+    /// The weights that a new stream would use.
+    async fn weights(&self) -> WeightsName {
+        WeightsName::from_wire(self.describe().await.weights, "weights").unwrap()
     }
 }
 
@@ -88,8 +91,9 @@ struct Acting {
 
 impl Acting {
     async fn begin(server: &Server, choice: ActionChoice) -> Self {
-        let agents = server.describe().await.agents;
-        let action_sizes = agents.iter().map(|agent| agent.agent.action.size).collect();
+        let agents = server.describe().await.agents.into_iter();
+        let actions = agents.map(|agent| agent.agent.unwrap().action.unwrap());
+        let action_sizes = actions.map(|action| action.size as usize).collect();
         let (steps, queue) = mpsc::channel(4);
         steps.send(choice.to_wire()).await.unwrap();
         let act = server.client().await.act(ReceiverStream::new(queue)).await;
@@ -183,19 +187,27 @@ async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
 async fn the_service_describes_its_agents_and_weights() {
     let folder = trained();
     let server = Server::start(folder, &[]);
-    let described = server.describe().await;
+    let (described, weights) = (server.describe().await, server.weights().await);
     let bytes = learner::store::checkpoint::load_newest(folder).unwrap().checkpoint.policy;
-    assert_eq!(described.weights.digest.0, policy::digest(&bytes));
-    assert_eq!(described.weights.version.0, inspect(folder)["iteration"]);
-    assert_eq!(described.run_id, "trained");
+    assert_eq!(weights.digest.0, policy::digest(&bytes));
+    assert_eq!(weights.version.0, inspect(folder)["iteration"]);
     let environment = world(folder).description().clone();
-    let agents = described.agents.iter().map(|agent| agent.agent.clone()).collect::<Vec<_>>();
-    assert_eq!((described.task, agents), (environment.task, environment.agents));
-    let kinds = described.agents.iter().map(|agent| (agent.hidden_size, agent.distribution));
-    assert!(kinds.clone().all(|kind| kind == (8, ActionDistribution::Gaussian)));
+    let agent = |agent: &AgentSpec| wire::PolicyAgent {
+        agent: Some(agent.to_wire()),
+        hidden_size: 8,
+        distribution: wire::ActionDistribution::Gaussian.into(),
+    };
+    let expected = wire::DescribePolicyResponse {
+        run_id: "trained".to_owned(),
+        agents: environment.agents.iter().map(agent).collect(),
+        task: environment.task,
+        weights: Some(weights.to_wire()),
+        dt_secs: environment.dt_secs,
+    };
+    assert_eq!(described, expected);
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
     let seen = observations(&*world(folder));
-    assert_eq!(acting.step(next(seen)).await.weights, described.weights);
+    assert_eq!(acting.step(next(seen)).await.weights, weights);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -287,7 +299,7 @@ async fn newer_checkpoints_are_loaded_between_episodes() {
     succeeded(&["train", "--resume", text(&folder), "run.iterations=4"]);
     let mut newest = 2;
     while newest == 2 {
-        newest = server.describe().await.weights.version.0;
+        newest = server.weights().await.version.0;
     }
     assert_eq!(newest, 4);
     assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2, "in the same episode");

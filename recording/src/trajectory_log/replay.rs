@@ -1,7 +1,7 @@
 //! Replays a log: the simulator steps from each stored state with the logged actions and must reproduce the
 //! observations, states and rewards bit for bit.
 
-use std::fmt;
+use std::fmt::{self, Debug};
 
 use proto::trajectory_log::ShareEnd;
 use sim::{EnvironmentBatch, Outcome};
@@ -195,19 +195,13 @@ fn numbers(
 }
 
 fn number(what: &str, logged: f32, found: f32) -> Option<Mismatch> {
-    let mismatch = || Mismatch {
-        what: what.to_owned(),
-        logged: format!("{logged:?}"),
-        found: format!("{found:?}"),
-    };
-    (logged.to_bits() != found.to_bits()).then(mismatch)
+    (logged.to_bits() != found.to_bits()).then(|| mismatch(what, &logged, &found))
 }
 
-fn value<T: PartialEq + fmt::Debug>(what: &str, logged: T, found: T) -> Option<Mismatch> {
-    let mismatch = || Mismatch {
-        what: what.to_owned(),
-        logged: format!("{logged:?}"),
-        found: format!("{found:?}"),
-    };
-    (logged != found).then(mismatch)
+fn value<T: PartialEq + Debug>(what: &str, logged: T, found: T) -> Option<Mismatch> {
+    (logged != found).then(|| mismatch(what, &logged, &found))
+}
+
+fn mismatch(what: &str, logged: &dyn Debug, found: &dyn Debug) -> Mismatch {
+    Mismatch { what: what.to_owned(), logged: format!("{logged:?}"), found: format!("{found:?}") }
 }
