@@ -28,8 +28,8 @@ use crate::state::StateBounds;
 pub use actuator::{Actuator, Torque};
 pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
 pub(crate) use blueprint::{
-    Blueprint, Cone, GroundForm, GroundPlan, JointPlan, Keyframe, Law, LinkPlan, MotorPlan,
-    ShapePlan,
+    Blueprint, Cone, ContactRules, GroundForm, GroundPlan, JointPlan, Keyframe, Law, LinkPlan,
+    MotorPlan, PairPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
@@ -66,9 +66,14 @@ pub(crate) struct Physics {
     pub(crate) contacts: SoftnessOverride,
     /// Distance at which contacts become active, m.
     pub(crate) margin: Option<f32>,
+    /// Whether links touch each other and the base.
+    pub(crate) self_contacts: Option<bool>,
     /// Selects [`Law::Engine`], with this compliance.
     pub(crate) contact_compliance: Option<f32>,
 }
+
+/// `self_contacts` of a robot that states neither it nor `contact_compliance`.
+const LINKS_TOUCH: bool = true;
 
 /// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
@@ -113,9 +118,12 @@ impl Robot {
         let refused = |reason| SimError::Model { robot: row.name.clone(), reason };
         let mut folder = folder::Folder::new(&row.name, source).map_err(refused)?;
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
-        let Physics { integration, limits, contacts, margin, contact_compliance } = row.physics;
+        let Physics { integration, limits, contacts, margin, self_contacts, contact_compliance } =
+            row.physics;
         blueprint.integration = integration.unwrap_or(blueprint.integration);
         blueprint.soften(ContactOverride { softness: contacts, margin }, &limits);
+        blueprint
+            .let_links_touch(self_contacts.unwrap_or(LINKS_TOUCH && contact_compliance.is_none()));
         if let Some(compliance) = contact_compliance {
             blueprint.use_engine(compliance).map_err(refused)?;
         }

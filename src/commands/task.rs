@@ -225,6 +225,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     for line in world.drawn() {
         output::line(format!("drawn {line}"));
     }
+    for what in robot.left_out() {
+        output::line(format!("left out: {what}"));
+    }
     for warning in world.warnings() {
         output::line(format!("warning: {warning}"));
     }

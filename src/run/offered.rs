@@ -54,6 +54,9 @@ impl Offered {
 
 fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let world = sim::environments(&config.task, 1).context("cannot build the task")?;
+    let own = config.task.definition.as_ref().and_then(|_| world.robot());
+    let left_out = own.map(sim::Robot::left_out).unwrap_or_default();
+    left_out.iter().for_each(|what| tracing::warn!("left out: {what}"));
     world.warnings().iter().for_each(|warning| tracing::warn!("{warning}"));
     let task_settings =
         serde_json::to_string(&config.task).context("cannot write the task's settings")?;

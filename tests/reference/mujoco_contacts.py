@@ -58,6 +58,23 @@ CAPSULE = (
     '<body pos="0 0.3 0"><geom size="0.04" density="300"/></body></body></body>'
 )
 SOFT = "0.015 1 0.031"
+CUBE = " ".join(f"{x} {y} {z}" for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.1, 0.1))
+MESH = f'<asset><mesh name="cube" vertex="{CUBE}"/></asset>'
+
+
+def on(ground, body, option="", sections=""):
+    """A free body on a shape that is fixed to the world."""
+    return document(f'{ground}<body pos="0 0 0.35"><freejoint name="root"/>{body}</body>', option, "", sections)
+
+
+FINGER = (
+    '<body name="palm" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>'
+    '<geom name="palm" type="capsule" size="0.03" fromto="0 0 0 0.3 0 0" mass="1"/>'
+    '<body name="middle" pos="0.3 0 0"><joint name="b" axis="0 1 0" damping="0.05"/>'
+    '<geom name="middle" type="capsule" size="0.02" fromto="0 0 0 0.1 0 0.1" mass="0.1"/>'
+    '<body name="tip" pos="0.1 0 0.1"><joint name="c" axis="0 1 0" damping="0.02" stiffness="2" springref="-3"/>'
+    '<geom name="tip" size="0.03" pos="-0.1 0 0.05" mass="0.2" {tip}/></body></body></body>'
+)
 
 # Name: the document, and velocities at the start.
 MODELS = {
@@ -87,6 +104,58 @@ MODELS = {
     ),
     "capsules": (document(CAPSULE), None),
     "capsules with the Runge-Kutta integrator": (document(CAPSULE, 'integrator="RK4"'), None),
+    "ball on a box": (on('<geom type="box" size="0.2 0.2 0.1" pos="0 0 0.1"/>', '<geom size="0.1" mass="2"/>'), [0.3]),
+    "ball on a cylinder": (
+        on('<geom type="cylinder" size="0.2 0.1" pos="0 0 0.1"/>', '<geom size="0.1" mass="2"/>'),
+        [0.3],
+    ),
+    "ball on a mesh": (on('<geom type="mesh" mesh="cube" pos="0 0 0.1"/>', '<geom size="0.1" mass="2"/>', "", MESH), [0.3]),
+    "ball on a capsule": (
+        on('<geom type="capsule" size="0.2" fromto="-1 0 0 1 0 0"/>', '<geom size="0.1" pos="0 0.01 0" mass="2"/>'),
+        None,
+    ),
+    "box on a box": (
+        on('<geom type="box" size="0.2 0.2 0.1" pos="0 0 0.1"/>', '<geom type="box" size="0.1 0.05 0.1" mass="2"/>'),
+        [0.3],
+    ),
+    "capsule on a box": (
+        on(
+            '<geom type="box" size="0.4 0.4 0.1" pos="0 0 0.1"/>',
+            '<geom type="capsule" size="0.1" fromto="-0.1 0 0 0.1 0 0" mass="2"/>',
+        ),
+        [0, 0.3],
+    ),
+    "ball between two planes": (
+        on('<geom type="plane" size="1 1 1" pos="-0.05 0 0.1" euler="0 1 0"/>', '<geom size="0.1" mass="2"/>'),
+        None,
+    ),
+    "block with a pair": (
+        block("", 'name="f"')
+        .replace('name="f"', 'name="f1"', 1)
+        .replace('name="f"', 'name="f2"', 1)
+        .replace('name="f"', 'name="f3"', 1)
+        .replace('name="f"', 'name="f4"', 1)
+        .replace(
+            "</mujoco>",
+            '<contact><pair geom1="f1" geom2="floor" friction="0.1 0.1"/>'
+            '<pair geom1="floor" geom2="f3" condim="1" solref="0.05 1" margin="0.001"/></contact></mujoco>',
+        ),
+        None,
+    ),
+    "finger on its palm": (document(FINGER.format(tip="")), None),
+    "finger through its palm": (
+        document(FINGER.format(tip=""), "", "", '<contact><exclude body1="tip" body2="palm"/></contact>'),
+        None,
+    ),
+    "finger with a pair": (
+        document(
+            FINGER.format(tip='contype="0" conaffinity="0"'),
+            "",
+            "",
+            '<contact><pair geom1="tip" geom2="palm" friction="0.2 0.2"/></contact>',
+        ),
+        None,
+    ),
     "limits": (arm('range="-0.4 0.5" damping="0.2"'), None),
     "soft limits": (arm('range="-0.4 0.5" solimplimit="0.1 0.9 0.2" solreflimit="0.05 0.7"'), None),
     "dry friction": (arm('frictionloss="1.5"'), None),

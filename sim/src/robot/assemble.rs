@@ -43,7 +43,8 @@ pub(super) fn assemble(blueprint: &Blueprint) -> Result<(Template, Layout), Stri
         let body = insert_link(&mut world, blueprint, link, (parent_frame * link.rest, shapes));
         shapes += link.shapes.len();
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
-        if let Some(joint) = joint(link) {
+        if let Some(mut joint) = joint(link) {
+            joint.set_contacts_enabled(finds_links(blueprint));
             let inserted = world.multibody_joints.insert(parent, body, joint, true);
             inserted.ok_or_else(|| format!("{}: rapier rejects the joint", link.name))?;
         }
@@ -150,9 +151,11 @@ fn insert_link(
         .gravity_scale(link.gravity_scale)
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
-    for (index, plan) in (first_shape..).zip(&link.shapes).filter(|_| !link.is_base()) {
-        let Some((friction, margin, hooks)) = contact_parts(blueprint, plan) else { continue };
-        let collider = touching(collider(plan), friction, ROBOT, GROUND)
+    for (index, plan) in (first_shape..).zip(&link.shapes) {
+        let parts = contact_parts(blueprint, link, index, plan);
+        let Some((friction, margin, hooks)) = parts else { continue };
+        let others = if finds_links(blueprint) { GROUND | ROBOT } else { GROUND };
+        let collider = touching(collider(plan), friction, ROBOT, others)
             .user_data(ShapeTag { shape: index, body: plan.body }.encoded())
             .contact_skin(margin)
             .active_hooks(hooks);
@@ -161,18 +164,32 @@ fn insert_link(
     handle
 }
 
+/// Whether the engine looks for contacts between links.
+fn finds_links(blueprint: &Blueprint) -> bool {
+    blueprint.law == Law::Constraints
+        && (blueprint.contacts.links_touch || !blueprint.contacts.pairs.is_empty())
+}
+
 /// Friction and margin of a shape's collider, and the calls that its contacts need; `None` if it touches nothing.
-fn contact_parts(blueprint: &Blueprint, plan: &ShapePlan) -> Option<(f32, f32, ActiveHooks)> {
+fn contact_parts(
+    blueprint: &Blueprint,
+    link: &LinkPlan,
+    index: usize,
+    plan: &ShapePlan,
+) -> Option<(f32, f32, ActiveHooks)> {
     match blueprint.law {
+        Law::Engine { .. } if link.is_base() => None,
         Law::Engine { .. } => {
             let contact = blueprint.floor_contact(plan)?;
             let hooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
             Some((contact.sliding_friction() as f32, contact.margin, hooks))
         }
         Law::Constraints => {
-            let surface = plan.surface?;
-            blueprint.grounds.iter().find(|ground| surface.meets(&ground.surface))?;
-            let margin = surface.reach(&blueprint.contacts.stated);
+            let surface = plan.surface.filter(|_| blueprint.touches(link, index, plan))?;
+            let own = surface.reach(&blueprint.contacts.stated);
+            let pairs = blueprint.contacts.pairs.iter();
+            let pairs = pairs.filter(|pair| pair.shapes.contains(&index));
+            let margin = pairs.map(|pair| pair.contact.margin).fold(own, f32::max);
             Some((0.0, margin, ActiveHooks::FILTER_CONTACT_PAIRS))
         }
     }
@@ -271,7 +288,7 @@ fn update_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
 /// to zero, because rapier's default damping of angular freedoms is 0.1.
 fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &Layout) {
     let Some(robot) = world.multibody_joints.get_multibody_mut(layout.multibody) else { return };
-    robot.set_self_contacts_enabled(false);
+    robot.set_self_contacts_enabled(finds_links(blueprint));
     robot.damping_mut().fill(0.0);
     robot.armature_mut().fill(0.0);
     for (link, map) in blueprint.links.iter().zip(&layout.joints) {

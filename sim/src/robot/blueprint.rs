@@ -66,6 +66,8 @@ pub(crate) struct Keyframe {
 /// A shape that is fixed to the world.
 #[derive(Debug)]
 pub(crate) struct GroundPlan {
+    /// Its name in the model, or nothing.
+    pub(crate) name: String,
     pub(crate) form: GroundForm,
     pub(crate) pose: Pose,
     pub(crate) surface: Surface,
@@ -89,6 +91,20 @@ pub(crate) struct ContactRules {
     pub(crate) impratio: f64,
     /// What a task states in place of the model's numbers.
     pub(crate) stated: ContactOverride,
+    /// Shapes that touch by rules of their own, in the order of their shapes.
+    pub(crate) pairs: Vec<PairPlan>,
+    /// Bodies that do not touch, the one with the smaller index first.
+    pub(crate) excluded: Vec<[usize; 2]>,
+    /// Whether links touch each other and the base.
+    pub(crate) links_touch: bool,
+}
+
+/// Two shapes that touch by rules of their own.
+#[derive(Clone, Debug)]
+pub(crate) struct PairPlan {
+    /// Their indices among the shapes of all links, then the fixed shapes, the smaller first.
+    pub(crate) shapes: [usize; 2],
+    pub(crate) contact: ContactPlan,
 }
 
 /// Limit of a contact's friction.
@@ -117,6 +133,8 @@ pub(crate) struct LinkPlan {
 /// A shape in its link's frame.
 #[derive(Debug)]
 pub(crate) struct ShapePlan {
+    /// Its name in the model, or nothing.
+    pub(crate) name: String,
     pub(crate) shape: Shape,
     pub(crate) pose: Pose,
     /// Its contact properties; `None` if it touches nothing.
@@ -298,6 +316,10 @@ impl LinkPlan {
 impl Blueprint {
     /// Replaces what a task states of the softness and margin of all contacts and limits.
     pub(crate) fn soften(&mut self, contacts: ContactOverride, limits: &SoftnessOverride) {
+        for pair in &mut self.contacts.pairs {
+            pair.contact.softness = pair.contact.softness.with(&contacts.softness);
+            pair.contact.margin = contacts.margin.unwrap_or(pair.contact.margin);
+        }
         self.contacts.stated = contacts;
         for link in &mut self.links {
             if let JointPlan::Hinge(hinge) = &mut link.joint {
@@ -306,10 +328,45 @@ impl Blueprint {
         }
     }
 
+    /// Sets whether links touch each other and the base. If not, this is noted as left out.
+    pub(crate) fn let_links_touch(&mut self, links_touch: bool) {
+        self.contacts.links_touch = links_touch;
+        let shapes: Vec<(usize, &ShapePlan)> = (0..self.links.len())
+            .flat_map(|link| self.links[link].shapes.iter().map(move |shape| (link, shape)))
+            .collect();
+        let meet = |(a, one): &(usize, &ShapePlan), (b, other): &(usize, &ShapePlan)| {
+            let surfaces = one.surface.zip(other.surface);
+            let bodies = [one.body.min(other.body), one.body.max(other.body)];
+            a != b
+                && surfaces.is_some_and(|(one, other)| one.meets(&other))
+                && self.parent_of(*a) != Some(*b)
+                && self.parent_of(*b) != Some(*a)
+                && !self.contacts.excluded.contains(&bodies)
+        };
+        let meets = |shape: &&(usize, &ShapePlan)| shapes.iter().any(|other| meet(shape, other));
+        let count = if links_touch { 0 } else { shapes.iter().filter(meets).count() };
+        if count > 0 {
+            let what = format!("links do not touch each other: contacts between {count} shapes");
+            self.left_out.push(what);
+        }
+    }
+
+    /// The link of the parent of a link's body; none on the world or the base. A body with several joints has links without
+    /// a mass before its own.
+    pub(crate) fn parent_of(&self, link: usize) -> Option<usize> {
+        let mut parent = self.links[link].parent?;
+        while self.links[parent].mass.inv_mass == 0.0 && !self.links[parent].is_base() {
+            parent = self.links[parent].parent?;
+        }
+        Some(parent).filter(|parent| !self.links[*parent].is_base())
+    }
+
     /// Has the engine's solver enforce contacts and limits, which it cannot do for all models.
     pub(crate) fn use_engine(&mut self, compliance: f32) -> Result<(), String> {
         let reason = |why: &str| Err(format!("`physics.contact_compliance` {why}; remove it"));
-        if !matches!(self.grounds.as_slice(), [] | [GroundPlan { form: GroundForm::Plane, .. }]) {
+        let is_plain = self.contacts.pairs.is_empty() && !self.contacts.links_touch;
+        let grounds = self.grounds.as_slice();
+        if !is_plain || !matches!(grounds, [] | [GroundPlan { form: GroundForm::Plane, .. }]) {
             return reason("needs a world with one plane and nothing else to touch");
         }
         let contacts = self.shapes().filter_map(|shape| self.floor_contact(shape));
@@ -350,6 +407,15 @@ impl Blueprint {
     pub(crate) fn contact(&self, shape: &ShapePlan, ground: &GroundPlan) -> Option<ContactPlan> {
         let surface = shape.surface.filter(|surface| surface.meets(&ground.surface))?;
         Some(surface.contact(&ground.surface, &self.contacts.stated, self.timestep_secs))
+    }
+
+    /// Whether a shape, the one with the index `index` of all, can touch anything.
+    pub(crate) fn touches(&self, link: &LinkPlan, index: usize, shape: &ShapePlan) -> bool {
+        let Some(surface) = shape.surface else { return false };
+        let is_paired = self.contacts.pairs.iter().any(|pair| pair.shapes.contains(&index));
+        let is_on_ground =
+            self.grounds.iter().any(|ground| surface.meets(&ground.surface)) && !link.is_base();
+        is_paired || is_on_ground || (self.contacts.links_touch && surface.collides())
     }
 
     /// Contact of a shape with the first fixed shape, the only one in the engine's law.

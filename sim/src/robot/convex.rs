@@ -7,6 +7,8 @@ use std::sync::Arc;
 
 use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::bounding_volume::{Aabb, BoundingSphere};
+use rapier3d::parry::query::details::local_point_projection_on_support_map;
+use rapier3d::parry::query::gjk::VoronoiSimplex;
 use rapier3d::parry::query::{PointProjection, PointQuery, Ray, RayCast, RayIntersection};
 use rapier3d::parry::shape::{
     FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape as RapierShape,
@@ -131,6 +133,19 @@ fn cylinder_feature([half, radius]: [f32; 2], along: Vector, mut add: impl FnMut
     }
 }
 
+/// The farthest corner of a hull, the first of several.
+fn farthest(hull: &Hull, along: Vector) -> Vector {
+    let mut best = (Vector::ZERO, f32::NEG_INFINITY);
+    for point in &hull.points {
+        let corner = Vector::from_array(*point);
+        let height = corner.dot(along);
+        if height > best.1 {
+            best = (corner, height);
+        }
+    }
+    best.0
+}
+
 /// At most four of the farthest corners of a hull, far from each other.
 fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vector, u32)) {
     let corner = |index: usize| Vector::from_array(hull.points[index]);
@@ -162,6 +177,9 @@ fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vecto
 impl SupportMap for Convex {
     fn local_support_point(&self, along: Vector) -> Vector {
         let inside = self.pose.rotation.inverse() * along;
+        if let Form::Hull(hull, _) = &self.form {
+            return self.pose * farthest(hull, inside);
+        }
         let mut best = (Vector::ZERO, f32::NEG_INFINITY);
         self.corners(inside, |corner, _| {
             let height = corner.dot(inside);
@@ -247,13 +265,13 @@ impl RayCast for Convex {
     }
 }
 
-/// Queries are answered for the bounding box. The simulator makes none.
 impl PointQuery for Convex {
     fn project_local_point(&self, point: Vector, solid: bool) -> PointProjection {
-        self.bounds.project_local_point(point, solid)
+        let mut simplex = VoronoiSimplex::new();
+        local_point_projection_on_support_map(self, &mut simplex, point, solid)
     }
 
     fn project_local_point_and_get_feature(&self, point: Vector) -> (PointProjection, FeatureId) {
-        self.bounds.project_local_point_and_get_feature(point)
+        (self.project_local_point(point, false), FeatureId::Unknown)
     }
 }

@@ -46,12 +46,21 @@ fn robot_of_files(
     mjcf: &str,
     source: &dyn Fn(&str) -> Result<Vec<u8>, String>,
 ) -> Result<Robot, String> {
+    robot_with(mjcf, Physics::default(), source)
+}
+
+/// A robot with what a task states of its physics.
+fn robot_with(
+    mjcf: &str,
+    physics: Physics,
+    source: &dyn Fn(&str) -> Result<Vec<u8>, String>,
+) -> Result<Robot, String> {
     let row = RobotRow {
         name: "loaded".to_owned(),
         mjcf: mjcf.to_owned(),
         frame_skip: 1,
         neighbourhood: Neighbourhood::default(),
-        physics: Physics::default(),
+        physics,
     };
     Robot::of_files(row, source).map_err(|error| error.to_string())
 }

@@ -128,7 +128,7 @@ fn add_body(
     fill(bodies, index, element, (childclass, IDENTITY), context);
     if is_marker(element)? {
         let marker = bodies.split_off(index);
-        let touches = |geom: &&Geom| context.options.has_contacts && geom.surface.collides();
+        let touches = |geom: &&Geom| context.options.has_contacts && geom.collides();
         if let Some(geom) = marker.iter().flat_map(|body| &body.geoms).find(touches) {
             let reason = "a mocap body is skipped, so nothing may touch it: set contype=\"0\" and \
                 conaffinity=\"0\"";
@@ -206,7 +206,7 @@ pub(super) fn take_grounds(
             .into_iter()
             .partition(|geom| is_taken || geom.is_plane());
         body.geoms = kept;
-        let touched = |geom: &&Geom| moving.iter().any(|other| geom.surface.meets(other));
+        let touched = |geom: &&Geom| geom.meets(&moving);
         for geom in taken.iter().filter(|_| context.options.has_contacts).filter(touched) {
             let ground = geom.ground((&frames[index], index), &mut context.meshes, folder);
             grounds.extend(context.blockers.keep(ground));

@@ -90,7 +90,7 @@ fn kept_shapes(
 ) -> Result<VecDeque<Kept>, String> {
     let mut shapes = VecDeque::new();
     for geom in &body.geoms {
-        let is_kept = !geom.is_mesh() || geom.surface.collides();
+        let is_kept = !geom.is_mesh() || geom.collides();
         if let Some(name) = geom.element.text("mesh").filter(|_| geom.is_mesh() && is_kept) {
             let hull = context.meshes.hull(&geom.element, folder)?;
             hulls.insert(name.to_owned(), Some(hull));

@@ -31,6 +31,8 @@ pub(super) struct Geom {
     /// Ends of the shape in its body, if it states them.
     ends: Option<[[f64; 3]; 2]>,
     pub(super) surface: Surface,
+    /// Whether a contact pair names it.
+    is_paired: bool,
     /// Whether its group has masses.
     is_heavy: bool,
 }
@@ -59,9 +61,25 @@ impl Geom {
             frame: outer.then(&context.options.angles.frame(&element)?),
             ends,
             surface,
+            is_paired: element.text("name").is_some_and(|name| context.paired.contains(name)),
             is_heavy: (first..=last).contains(&element.integer("group", 0)?),
             element,
         })
+    }
+
+    /// Its name, or nothing.
+    pub(super) fn name(&self) -> String {
+        self.element.text("name").unwrap_or_default().to_owned()
+    }
+
+    /// Whether the shape can touch anything.
+    pub(super) fn collides(&self) -> bool {
+        self.is_paired || self.surface.collides()
+    }
+
+    /// Whether the shape can touch another one of these.
+    pub(super) fn meets(&self, others: &[Surface]) -> bool {
+        self.is_paired || others.iter().any(|other| self.surface.meets(other))
     }
 
     pub(super) fn is_mesh(&self) -> bool {
@@ -185,7 +203,7 @@ impl Geom {
             let (shape, pose) = self.shape(meshes, folder)?;
             (GroundForm::Solid(shape), frame.pose() * pose)
         };
-        Ok(GroundPlan { form, pose, surface: self.surface, body })
+        Ok(GroundPlan { name: self.name(), form, pose, surface: self.surface, body })
     }
 }
 

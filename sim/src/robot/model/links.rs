@@ -128,12 +128,11 @@ impl<'a> Links<'a> {
         let inertial = bodies::stated_inertia(body, &context.options);
         let inertial = context.blockers.keep(inertial).flatten();
         let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
-        let collides = |geom: &Geom| geom.surface.collides();
-        let has_contacts = body.geoms.iter().any(collides);
+        let has_contacts = body.geoms.iter().any(Geom::collides);
         let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {
             let weighs = inertial.is_none() && geom.weighs();
-            let is_drawn = collides(geom) || !(has_contacts || geom.is_mesh());
+            let is_drawn = geom.collides() || !(has_contacts || geom.is_mesh());
             if !weighs && !is_drawn {
                 continue;
             }
@@ -143,11 +142,12 @@ impl<'a> Links<'a> {
             let solid = weighs.then(|| geom.solid(&shape, &pose, &context.meshes));
             solids.extend(solid.and_then(|solid| context.blockers.keep(solid)));
             if is_drawn {
-                let touches = context.options.has_contacts && collides(geom);
+                let touches = context.options.has_contacts && geom.collides();
                 let surface = Some(geom.surface).filter(|_| touches);
                 // MuJoCo's mass centre of a body without a mass: its position in its parent, as one in itself.
                 let mass_centre = *frame * body.frame.pose().translation;
-                let plan = ShapePlan { shape, pose, surface, body: index, mass_centre };
+                let name = geom.name();
+                let plan = ShapePlan { name, shape, pose, surface, body: index, mass_centre };
                 self.plans[link].shapes.push(plan);
             }
         }

@@ -221,11 +221,6 @@ fn check_sections(root: &Element, blockers: &Blockers) {
             blockers.note(child.refuse("this element is not supported; remove it"));
         }
     }
-    for pair in root.all("contact").flat_map(|section| section.all("pair")) {
-        let reason = "explicit contact pairs are not supported; remove it, the shapes' own \
-            `contype`, `conaffinity`, `friction` and `solref` count";
-        blockers.note(pair.refuse(reason));
-    }
 }
 
 fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
@@ -305,7 +300,14 @@ fn contact_rules(option: &Element) -> Result<ContactRules, String> {
     if impratio <= 0.0 {
         return Err(option.refuse_for("impratio", "`impratio` must be positive"));
     }
-    Ok(ContactRules { cone, impratio, stated: ContactOverride::default() })
+    Ok(ContactRules {
+        cone,
+        impratio,
+        stated: ContactOverride::default(),
+        pairs: Vec::new(),
+        excluded: Vec::new(),
+        links_touch: false,
+    })
 }
 
 fn differences(option: &Element) -> Result<Vec<String>, String> {

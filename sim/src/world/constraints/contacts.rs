@@ -1,22 +1,30 @@
 //! Contacts as constraints: MuJoCo's friction pyramids and cones.
 
-use rapier3d::geometry::{Collider, ContactPair};
+use rapier3d::geometry::Collider;
 use rapier3d::glamx::DVec3;
 use rapier3d::math::{Pose, Vector};
+use rapier3d::parry::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
 use rapier3d::prelude::PhysicsWorld;
 
 use super::Rule;
 use super::motion::{LinkMotion, Motion, wide};
 use super::problem::{ConstraintProblem, Kind, MOST_ROWS};
-use crate::robot::{Blueprint, Cone, ContactPlan, GroundForm, Robot, ShapeTag, Surface};
+use crate::robot::{
+    Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, ShapeTag, Surface,
+};
 use crate::scene::Shape;
 
 /// The shapes of a robot and its world that can touch, and the contacts of the last step.
 pub(super) struct Touching {
     /// The robot's shapes, then the fixed ones, in the order of [`ShapeTag::shape`].
     shapes: Vec<TouchShape>,
+    /// Memory for the points in which two shapes touch.
+    manifolds: Vec<ContactManifold<(), ()>>,
     /// For each contact, its first row and the number of rows whose forces add up to the normal force.
     normals: Vec<(usize, usize)>,
+    rules: ContactRules,
+    /// For each link, that of its body's parent; none on the world or the base.
+    parents: Vec<Option<usize>>,
     /// Factor of the model's friction.
     pub(super) friction: f64,
 }
@@ -25,11 +33,19 @@ pub(super) struct Touching {
 struct TouchShape {
     /// `None` if it touches nothing.
     surface: Option<Surface>,
-    /// Index of its link in the blueprint; `None` if it is fixed to the world.
-    link: Option<usize>,
+    kind: TouchKind,
     /// Inverse mass and inertia of its body in the rest pose, 1/kg and 1/(kg m^2); 0 if it is fixed.
     inverse: [f64; 2],
     form: TouchForm,
+}
+
+/// What a shape is a part of.
+#[derive(Clone, Copy, PartialEq)]
+enum TouchKind {
+    /// The link with this index in the blueprint.
+    Link(usize),
+    Base,
+    Ground,
 }
 
 /// Forms on which the frame of a contact depends.
@@ -61,13 +77,13 @@ impl Touching {
         let inverses = &robot.layout().shape_inverses;
         let links = blueprint.links.iter().enumerate();
         let shapes = links.flat_map(|(link, plan)| {
-            let link = Some(link).filter(|_| !plan.is_base());
-            plan.shapes.iter().map(move |shape| (link, shape))
+            let kind = if plan.is_base() { TouchKind::Base } else { TouchKind::Link(link) };
+            plan.shapes.iter().map(move |shape| (kind, shape))
         });
-        let moving = shapes.zip(inverses).map(|((link, shape), inverse)| TouchShape {
+        let moving = shapes.zip(inverses).map(|((kind, shape), inverse)| TouchShape {
             surface: shape.surface,
-            link,
-            inverse: if link.is_some() { *inverse } else { [0.0; 2] },
+            kind,
+            inverse: if kind == TouchKind::Base { [0.0; 2] } else { *inverse },
             form: match shape.shape {
                 Shape::Capsule { .. } => TouchForm::Capsule,
                 _ => TouchForm::Other,
@@ -75,7 +91,7 @@ impl Touching {
         });
         let fixed = blueprint.grounds.iter().map(|ground| TouchShape {
             surface: Some(ground.surface),
-            link: None,
+            kind: TouchKind::Ground,
             inverse: [0.0; 2],
             form: match ground.form {
                 GroundForm::Plane => TouchForm::Plane,
@@ -83,19 +99,55 @@ impl Touching {
                 GroundForm::Solid(_) => TouchForm::Other,
             },
         });
-        Self { shapes: moving.chain(fixed).collect(), normals: Vec::new(), friction: 1.0 }
-    }
-
-    /// Whether two shapes can touch.
-    pub(super) fn meet(&self, first: ShapeTag, second: ShapeTag) -> bool {
-        let [first, second] = [first, second].map(|tag| &self.shapes[tag.shape]);
-        match (first.surface, second.surface) {
-            (Some(one), Some(other)) => one.meets(&other),
-            _ => false,
+        Self {
+            shapes: moving.chain(fixed).collect(),
+            manifolds: Vec::new(),
+            normals: Vec::new(),
+            rules: blueprint.contacts.clone(),
+            parents: (0..blueprint.links.len()).map(|link| blueprint.parent_of(link)).collect(),
+            friction: 1.0,
         }
     }
 
-    /// Adds all contacts that the engine has found as constraints.
+    /// Whether two shapes can touch, by MuJoCo's rules.
+    fn meet(&self, first: ShapeTag, second: ShapeTag) -> bool {
+        if self.pair(first, second).is_some() {
+            return true;
+        }
+        let bodies = [first.body.min(second.body), first.body.max(second.body)];
+        let [first, second] = [first, second].map(|tag| &self.shapes[tag.shape]);
+        let meets = match (first.surface, second.surface) {
+            (Some(one), Some(other)) => one.meets(&other),
+            _ => false,
+        };
+        let are_apart = match (first.kind, second.kind) {
+            (TouchKind::Link(one), TouchKind::Link(other)) => {
+                let is_child = |child: usize, parent| self.parents[child] == Some(parent);
+                self.rules.links_touch
+                    && one != other
+                    && !is_child(one, other)
+                    && !is_child(other, one)
+            }
+            (TouchKind::Link(_), TouchKind::Ground) | (TouchKind::Ground, TouchKind::Link(_)) => {
+                true
+            }
+            (TouchKind::Link(_), TouchKind::Base) | (TouchKind::Base, TouchKind::Link(_)) => {
+                self.rules.links_touch
+            }
+            _ => false,
+        };
+        meets && are_apart && !self.rules.excluded.contains(&bodies)
+    }
+
+    /// The rules of a pair of shapes, if it has its own.
+    fn pair(&self, first: ShapeTag, second: ShapeTag) -> Option<&PairPlan> {
+        let shapes = [first.shape.min(second.shape), first.shape.max(second.shape)];
+        let pairs = &self.rules.pairs;
+        pairs.binary_search_by_key(&shapes, |pair| pair.shapes).ok().map(|index| &pairs[index])
+    }
+
+    /// Adds the contacts of all shapes that the engine has found to be close. Their points are computed anew in each step,
+    /// because the engine moves old points with the shapes for up to a millimetre.
     pub(super) fn add(
         &mut self,
         blueprint: &Blueprint,
@@ -107,28 +159,50 @@ impl Touching {
         self.normals.clear();
         for pair in physics.narrow_phase.contact_pairs() {
             let colliders = [pair.collider1, pair.collider2];
-            let [one, other] = colliders.map(|handle| &physics.colliders[handle]);
-            self.add_pair(blueprint, (pair, [one, other]), start, (&mut *problem, rule));
+            let colliders = colliders.map(|handle| &physics.colliders[handle]);
+            let [one, other] = colliders.map(ShapeTag::of);
+            if self.meet(one, other) {
+                self.add_pair(blueprint, colliders, start, (&mut *problem, rule));
+            }
         }
     }
 
     fn add_pair(
         &mut self,
         blueprint: &Blueprint,
-        (pair, colliders): (&ContactPair, [&Collider; 2]),
+        colliders: [&Collider; 2],
         start: &Motion,
         (problem, rule): (&mut ConstraintProblem, Rule),
     ) {
         let tags = colliders.map(ShapeTag::of);
         let shapes = tags.map(|tag| &self.shapes[tag.shape]);
         let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return };
-        let plan = one.contact(&other, &blueprint.contacts.stated, blueprint.timestep_secs);
+        let plan = match self.pair(tags[0], tags[1]) {
+            Some(pair) => pair.contact,
+            None => one.contact(&other, &self.rules.stated, blueprint.timestep_secs),
+        };
         let plan = plan.with_friction(self.friction);
-        let links = shapes.map(|shape| shape.link.map(|link| &start.links[link]));
+        let links = shapes.map(|shape| match shape.kind {
+            TouchKind::Link(link) => Some(&start.links[link]),
+            TouchKind::Base | TouchKind::Ground => None,
+        });
         let inverse = [0, 1].map(|k| shapes[0].inverse[k] + shapes[1].inverse[k]);
         let poses = [0, 1].map(|k| pose_at_start(colliders[k], links[k]));
         let along = direction(shapes.map(|shape| shape.form), colliders, poses);
-        for manifold in pair.manifolds() {
+        let mut manifolds = std::mem::take(&mut self.manifolds);
+        manifolds.clear();
+        let [one, other] = colliders.map(Collider::shape);
+        let between = poses[0].inv_mul(&poses[1]);
+        // The engine has no contacts for a plane with another plane, which do not meet.
+        let _ = DefaultQueryDispatcher.contact_manifolds(
+            &between,
+            one,
+            other,
+            plan.margin,
+            &mut manifolds,
+            &mut None,
+        );
+        for manifold in &manifolds {
             let pose = poses[0] * manifold.subshape_pos1().copied().unwrap_or(Pose::IDENTITY);
             let normal = pose.rotation * manifold.local_n1;
             for point in manifold.points.iter().filter(|point| point.dist < plan.margin) {
@@ -143,6 +217,7 @@ impl Touching {
                 self.normals.push(contact.add(blueprint, &start.speeds, problem, rule));
             }
         }
+        self.manifolds = manifolds;
     }
 }
 

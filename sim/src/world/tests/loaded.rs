@@ -3,9 +3,9 @@
 
 use super::{
     LOPSIDED, STEP, World, assert_continues_bit_for_bit, document, motion, reference, robot,
-    world_of,
+    robot_with, world_of,
 };
-use crate::robot::JointPlan;
+use crate::robot::{JointPlan, Physics};
 
 /// A world with a floor, a step of a millisecond, and these bodies and actuators.
 fn world(bodies: &str, actuators: &str) -> World {
@@ -155,7 +155,7 @@ fn a_force_range_limits_a_servo_and_a_torque_range_its_joint() {
 #[test]
 fn a_pendulum_on_a_fixed_base_has_the_period_of_its_inertia() {
     // A rod of 1 m, hinged at its end: T = 2 pi sqrt(2 l / 3 g) for small angles.
-    let rod = "<body name=\"stand\" pos=\"0 0 2\"><geom type=\"box\" size=\"0.1 0.1 0.1\"/>\
+    let rod = "<body name=\"stand\" pos=\"0 0 2\"><geom type=\"box\" size=\"0.1 0.1 0.1\" contype=\"0\" conaffinity=\"0\"/>\
         <body name=\"rod\"><joint name=\"j\" axis=\"0 1 0\"/>\
         <geom type=\"box\" size=\"0.005 0.005 0.5\" pos=\"0 0 -0.5\"/></body></body>";
     let mut world = world(rod, "");
@@ -277,9 +277,17 @@ fn outermost_defaults_hold_for_shapes_without_a_class() {
 #[test]
 fn what_is_left_out_is_listed() {
     let pair = "<body pos=\"0 0 1\"><joint/><geom size=\"0.1\"/><body pos=\"1 0 0\"><joint/><geom size=\"0.1\"/></body></body>";
-    let mjcf = document(pair, "");
-    let left_out = robot(&mjcf).unwrap().left_out().join("; ");
-    assert!(left_out.contains("contacts between 2 shapes"), "{left_out}");
+    let pair = format!("<body pos=\"0 0 3\"><joint name=\"k\"/><geom size=\"0.1\"/></body>{pair}");
+    let mjcf = document(&pair, "");
+    let left_out = |mjcf: &str, self_contacts| {
+        let physics = Physics { self_contacts, ..Physics::default() };
+        let robot = robot_with(mjcf, physics, &|path| Err(path.to_owned())).unwrap();
+        robot.left_out().join("; ")
+    };
+    assert_eq!(left_out(&mjcf, None), "");
+    // Those of a body and its child are not among them.
+    let stated = left_out(&mjcf, Some(false));
+    assert_eq!(stated, "links do not touch each other: contacts between 3 shapes");
     let one_way = mjcf.replace("<geom size", "<geom conaffinity=\"0\" size");
-    assert!(!robot(&one_way).unwrap().left_out().join("; ").contains("contacts between"));
+    assert_eq!(left_out(&one_way, Some(false)), "");
 }

@@ -143,7 +143,7 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
         (
             section("\n<contact><pair geom1=\"a\"/></contact>"),
-            "line 6, <pair>: explicit contact pairs",
+            "line 6, <pair>: no shape that can touch has the name `a`",
         ),
         (section("\n<option><falg gravity=\"disable\"/></option>"), "line 6, <falg>: this element"),
         (section("\n<default><goem size=\"1\"/></default>"), "line 6, <goem>: this element"),

@@ -1,0 +1,104 @@
+//! The section `contact`: pairs of shapes that touch with their own properties, and pairs of bodies that do not.
+
+use std::collections::BTreeSet;
+
+use super::super::blueprint::{ContactRules, GroundPlan, LinkPlan, PairPlan};
+use super::super::document::{Element, check_names};
+use super::super::softness::Softness;
+use super::super::surface::{ContactPlan, Surface};
+use super::bodies::Body;
+use super::context::Context;
+
+const PAIR: [&str; 9] =
+    ["name", "class", "geom1", "geom2", "condim", "friction", "solref", "solimp", "margin"];
+/// `gap` has no effect on the motion.
+const SKIPPED: [&str; 1] = ["gap"];
+
+/// Names of all shapes in pairs.
+pub(super) fn paired(root: &Element) -> BTreeSet<String> {
+    let shapes = of(root, "pair").flat_map(|pair| [pair.text("geom1"), pair.text("geom2")]);
+    shapes.flatten().map(str::to_owned).collect()
+}
+
+fn of<'a>(root: &'a Element, tag: &'a str) -> impl Iterator<Item = &'a Element> {
+    root.all("contact").flat_map(move |section| section.all(tag))
+}
+
+/// Completes the rules for contacts.
+pub(super) fn read(
+    root: &Element,
+    context: &Context,
+    bodies: &[Body],
+    (links, grounds): (&[LinkPlan], &[GroundPlan]),
+) -> ContactRules {
+    let mut rules = context.options.contacts.clone();
+    let shapes = links.iter().flat_map(|link| &link.shapes);
+    let shapes = shapes.map(|shape| (shape.name.as_str(), shape.surface));
+    let grounds = grounds.iter().map(|ground| (ground.name.as_str(), Some(ground.surface)));
+    let shapes: Vec<(&str, Option<Surface>)> = shapes.chain(grounds).collect();
+    context.blockers.keep(check_names(of(root, "pair")));
+    for element in of(root, "pair").filter(|_| context.options.has_contacts) {
+        rules.pairs.extend(context.blockers.keep(pair(element, context, &shapes)));
+    }
+    rules.pairs.sort_by_key(|pair| pair.shapes);
+    for element in of(root, "exclude") {
+        let body = |name: &str| {
+            let name = element.text(name);
+            bodies.iter().position(|body| Some(body.name.as_str()) == name)
+        };
+        // A name that is not found is that of a marker, which is skipped.
+        if let (Some(one), Some(other)) = (body("body1"), body("body2")) {
+            rules.excluded.push([one.min(other), one.max(other)]);
+        }
+    }
+    rules
+}
+
+fn pair(
+    element: &Element,
+    context: &Context,
+    shapes: &[(&str, Option<Surface>)],
+) -> Result<PairPlan, String> {
+    let element = context.classes.resolve(element, None)?;
+    element.only(&[&PAIR, &SKIPPED])?;
+    let shape = |key: &str| {
+        let name = element.text(key);
+        let name = name.ok_or_else(|| element.refuse(format!("it must have `{key}`; add it")))?;
+        let index = shapes.iter().position(|(known, _)| *known == name);
+        let found = index.and_then(|index| Some((index, shapes[index].1?)));
+        found
+            .ok_or_else(|| element.refuse(format!("no shape that can touch has the name `{name}`")))
+    };
+    let ((first, one), (second, other)) = (shape("geom1")?, shape("geom2")?);
+    let step_secs = context.options.timestep_secs;
+    let contact = one.contact(&other, &context.options.contacts.stated, step_secs);
+    Ok(PairPlan {
+        shapes: [first.min(second), first.max(second)],
+        contact: stated(&element, contact, (&one, &other), step_secs)?,
+    })
+}
+
+/// A contact of two shapes with the numbers that the pair states.
+fn stated(
+    element: &Element,
+    contact: ContactPlan,
+    (one, other): (&Surface, &Surface),
+    step_secs: f64,
+) -> Result<ContactPlan, String> {
+    let (solref, solimp) = one.softness(other);
+    let solref = element.padded("solref", solref)?;
+    Softness::check(solref).map_err(|reason| element.refuse(reason))?;
+    let dimensions = element.integer("condim", contact.dimensions as i64)?;
+    let friction = element.padded("friction", contact.friction)?;
+    let margin = element.number("margin", f64::from(contact.margin))?;
+    if ![1, 3, 4, 6].contains(&dimensions) {
+        return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
+    }
+    if friction.iter().any(|mu| *mu < 0.0) || margin < 0.0 {
+        return Err(element.refuse("`friction` and `margin` must not be negative"));
+    }
+    let softness = Softness::new(solref, element.padded("solimp", solimp)?, step_secs);
+    let plan =
+        ContactPlan { dimensions: dimensions as usize, friction, margin: margin as f32, softness };
+    Ok(plan.with_friction(1.0))
+}
