@@ -120,9 +120,7 @@ impl<'a> RunContext<'a> {
         match property {
             Property::Robot | Property::Contacts if is_outside => Some(false),
             Property::Robot => self.simulated().map(|(_, is_robot)| *is_robot),
-            Property::Contacts => {
-                Some(self.changes(|task| task.observation.contact_forces = ContactForces::Zeros))
-            }
+            Property::Contacts => Some(self.has_contact_forces()),
             Property::Continuous => self.any_agent(|agent| agent.action.choices.is_none()),
             Property::Discrete => self.any_agent(|agent| agent.action.choices.is_some()),
             Property::Several => self.environment().map(|spec| spec.agents.len() > 1),
@@ -142,15 +140,13 @@ impl<'a> RunContext<'a> {
         }
     }
 
-    /// Whether the simulator's environment is another one after `change`.
-    fn changes(&self, change: impl Fn(&mut TaskConfig)) -> bool {
-        let plain = self.plain();
-        let mut changed = plain.clone();
-        change(&mut changed);
-        let described = |task: &TaskConfig| {
-            sim::environments(task, 1).map(|world| world.description().clone()).ok()
-        };
-        described(&plain) != described(&changed)
+    /// Whether the description of the simulator's environment has contact forces if the settings ask for them.
+    fn has_contact_forces(&self) -> bool {
+        let mut task = self.plain();
+        task.observation.contact_forces = ContactForces::Zeros;
+        let world = sim::environments(&task, 1).ok();
+        let described = world.as_ref().map(|world| world.description());
+        described != self.simulated().map(|(spec, _)| spec)
     }
 
     fn simulated(&self) -> Option<&(EnvironmentSpec, bool)> {

@@ -120,8 +120,9 @@ fn row(
 ) -> ResultRow {
     let finals = finals(curves);
     let areas = areas(curves);
-    let reached: Vec<Option<f64>> =
-        curves.iter().map(|curve| first_reaching(after_start(curve), threshold?)).collect();
+    // Without the start: an untrained policy has learnt nothing, whatever its return.
+    let reach = |curve: &&[(f64, f64)]| first_reaching(curve.get(1..)?, threshold?);
+    let reached: Vec<Option<f64>> = curves.iter().map(reach).collect();
     ResultRow {
         task: task.to_owned(),
         variant: variant.to_owned(),
@@ -139,11 +140,6 @@ fn row(
 fn start<'a>(variants: impl Iterator<Item = &'a [&'a [(f64, f64)]]>) -> f64 {
     let firsts = variants.flatten().filter_map(|curve| Some(curve.first()?.1));
     interquartile_mean(&firsts.collect::<Vec<f64>>())
-}
-
-/// The evaluations that follow training; an untrained policy has learnt nothing, whatever its return.
-fn after_start(curve: &[(f64, f64)]) -> &[(f64, f64)] {
-    curve.get(1..).unwrap_or_default()
 }
 
 /// The final return of each run.

@@ -115,9 +115,9 @@ pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String
 
 /// Refuses settings with another hash than the run's manifest records.
 fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
-    let recorded = RunFolder::recorded_config_sha256(folder);
+    let recorded = RunFolder::recorded(folder);
     let found = policy::arrays::hex(&config.resolved.sha256());
-    match recorded {
+    match recorded.as_ref().and_then(|manifest| manifest["config_sha256"].as_str()) {
         Some(expected) if expected != found => {
             let detail = format!(
                 "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"

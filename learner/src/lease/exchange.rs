@@ -153,7 +153,7 @@ impl Exchange {
         let agents = &self.run.environment.agents;
         let hidden = &self.run.hidden_sizes;
         let published = Published::parse(version, snapshot, agents, hidden)
-            .map_err(|detail| ExchangeError::Weights { version, detail })?;
+            .map_err(|why| ExchangeError(format!("cannot publish weights {version}: {why}")))?;
         let name = published.name;
         self.change(|shared| {
             shared.weights.insert(published);
@@ -334,14 +334,17 @@ impl Exchange {
                 }
                 Effect::Evaluation(outcome) => shared.wakes.push_back(Wake::Evaluation(outcome)),
                 Effect::Failed(disagreement) => {
-                    let error = ExchangeError::Disagreement(disagreement);
+                    let error = ExchangeError(disagreement.to_string());
                     shared.wakes.push_back(Wake::Failed(error));
                 }
                 Effect::BeginAgain(slot) => shared.wakes.push_back(Wake::BeginAgain(slot)),
                 Effect::GivenUp { actor, work, times, detail } => {
                     let work = incidents::work(work);
                     let actor = shared.names.call(actor);
-                    let error = ExchangeError::Work { work, times, actor, detail };
+                    let error = ExchangeError(format!(
+                        "{work} failed {times} times and no actor could finish it, the last was {actor}: {detail}; \
+                         remove the cause, then resume the run"
+                    ));
                     shared.wakes.push_back(Wake::Failed(error));
                 }
             }

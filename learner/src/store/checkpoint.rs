@@ -107,14 +107,6 @@ pub enum CheckpointError {
     /// The arrays could not be turned into a file.
     #[error(transparent)]
     Encode(#[from] ArrayError),
-    /// A checkpoint is damaged.
-    #[error("checkpoint {path} cannot be used: {detail}")]
-    Unusable {
-        /// Its directory.
-        path: PathBuf,
-        /// What is wrong.
-        detail: String,
-    },
     /// There is none.
     #[error("{folder} holds no checkpoint")]
     None {
@@ -129,14 +121,9 @@ pub enum CheckpointError {
         /// All of them, each with the reason.
         skipped: Vec<(PathBuf, String)>,
     },
-    /// A whole checkpoint lacks an array, or has another one than this program expects.
-    #[error("checkpoint: array {name} {detail}")]
-    Array {
-        /// The array.
-        name: String,
-        /// What is wrong with it.
-        detail: String,
-    },
+    /// A checkpoint is damaged or an array of it does not fit, in words.
+    #[error("{0}")]
+    Other(String),
 }
 
 impl Checkpoint {
@@ -224,8 +211,9 @@ pub fn save(
 /// # Errors
 /// Says what is missing, damaged or of another schema.
 pub fn load(path: &Path) -> Result<Loaded, CheckpointError> {
-    let (checkpoint, manifest) = read(path)
-        .map_err(|detail| CheckpointError::Unusable { path: path.to_path_buf(), detail })?;
+    let (checkpoint, manifest) = read(path).map_err(|detail| {
+        CheckpointError::Other(format!("checkpoint {} cannot be used: {detail}", path.display()))
+    })?;
     Ok(Loaded { checkpoint, manifest, path: path.to_path_buf(), skipped: Vec::new() })
 }
 
@@ -330,7 +318,7 @@ fn files(checkpoint: &Checkpoint) -> Result<BTreeMap<String, Vec<u8>>, Checkpoin
         let group = name.split('/').next().unwrap_or_default();
         if !GROUPS.contains(&group) {
             let detail = format!("belongs to none of the groups {}", GROUPS.join(", "));
-            return Err(CheckpointError::Array { name: name.clone(), detail });
+            return Err(fields::wrong(name, &detail));
         }
         groups.entry(group).or_default().insert(name.clone(), array.clone());
     }

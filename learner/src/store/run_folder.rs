@@ -154,13 +154,6 @@ impl RunFolder {
         }
     }
 
-    /// Hash of the semantic settings that the manifest of the run in `path` records; `None` if the manifest is missing
-    /// or damaged.
-    #[must_use]
-    pub fn recorded_config_sha256(path: &Path) -> Option<String> {
-        Self::recorded(path)?["config_sha256"].as_str().map(str::to_owned)
-    }
-
     /// The manifest of the run in `path`; `None` if it is missing or damaged.
     #[must_use]
     pub fn recorded(path: &Path) -> Option<Value> {
@@ -180,16 +173,12 @@ impl RunFolder {
     /// # Errors
     /// Names the manifest if it cannot be read or written.
     pub fn note_foreign_actors(&self) -> Result<(), RunFolderError> {
-        if self.had_foreign_actors() {
+        let mut manifest = self.manifest()?;
+        if manifest[FOREIGN_ACTORS] == Value::Bool(true) {
             return Ok(());
         }
-        let mut manifest = self.manifest()?;
         manifest[FOREIGN_ACTORS] = Value::Bool(true);
         manifest::write(&self.file(MANIFEST), manifest)
-    }
-
-    fn had_foreign_actors(&self) -> bool {
-        self.manifest().is_ok_and(|manifest| manifest[FOREIGN_ACTORS] == Value::Bool(true))
     }
 
     /// Where the learner that works on the folder at `path` listens; `None` if there is none.

@@ -1,8 +1,8 @@
 //! Why the trainer wakes up, and why the exchange cannot continue.
 
-use proto::{PolicyVersion, RolloutOrigin};
+use proto::RolloutOrigin;
 
-use crate::lease::slots::{Disagreement, EvaluationOutcome, SlotRollout};
+use crate::lease::slots::{EvaluationOutcome, SlotRollout};
 
 /// Why the trainer woke up.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,33 +24,8 @@ pub enum Wake {
     Patience,
 }
 
-/// Why the exchange cannot continue.
+/// Why the exchange cannot continue: weights that are no policy of the run, results that differ, or work at which all
+/// actors failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ExchangeError {
-    /// What should be published is no policy for this run.
-    #[error("cannot publish weights {version}: {detail}")]
-    Weights {
-        /// Their version.
-        version: PolicyVersion,
-        /// What is wrong with them.
-        detail: String,
-    },
-    /// Two valid results differ.
-    #[error("{0}")]
-    Disagreement(Box<Disagreement>),
-    /// All actors failed at the same work.
-    #[error(
-        "{work} failed {times} times and no actor could finish it, the last was {actor}: {detail}; remove the cause, \
-         then resume the run"
-    )]
-    Work {
-        /// The work.
-        work: String,
-        /// How often it failed.
-        times: u32,
-        /// The last actor that failed.
-        actor: String,
-        /// The last cause.
-        detail: String,
-    },
-}
+#[error("{0}")]
+pub struct ExchangeError(pub String);

@@ -22,7 +22,7 @@ pub(crate) fn all_f64s<'a>(
 ) -> Result<&'a [f64], CheckpointError> {
     match get(arrays, name)? {
         Array::F64 { data, .. } => Ok(data),
-        _ => Err(wrong(name, "is not of type F64".into())),
+        _ => Err(wrong(name, "is not of type F64")),
     }
 }
 
@@ -34,7 +34,7 @@ pub(crate) fn f32s<'a>(
 ) -> Result<&'a [f32], CheckpointError> {
     match get(arrays, name)? {
         Array::F32 { data, .. } => length(name, data.len(), count).map(|()| data.as_slice()),
-        _ => Err(wrong(name, "is not of type F32".into())),
+        _ => Err(wrong(name, "is not of type F32")),
     }
 }
 
@@ -45,11 +45,11 @@ pub(crate) fn counts(
     count: usize,
 ) -> Result<Vec<u64>, CheckpointError> {
     let Array::I64 { data, .. } = get(arrays, name)? else {
-        return Err(wrong(name, "is not of type I64".into()));
+        return Err(wrong(name, "is not of type I64"));
     };
     length(name, data.len(), count)?;
     let unsigned = |value: &i64| {
-        u64::try_from(*value).map_err(|_| wrong(name, format!("holds {value}, below zero")))
+        u64::try_from(*value).map_err(|_| wrong(name, &format!("holds {value}, below zero")))
     };
     data.iter().map(unsigned).collect()
 }
@@ -63,21 +63,22 @@ pub(crate) fn one_count(arrays: &NamedArrays, name: &str) -> Result<u64, Checkpo
 pub(crate) fn bytes<'a>(arrays: &'a NamedArrays, name: &str) -> Result<&'a [u8], CheckpointError> {
     match get(arrays, name)? {
         Array::U8 { data, .. } => Ok(data),
-        _ => Err(wrong(name, "is not of type U8".into())),
+        _ => Err(wrong(name, "is not of type U8")),
     }
 }
 
 fn get<'a>(arrays: &'a NamedArrays, name: &str) -> Result<&'a Array, CheckpointError> {
-    arrays.get(name).ok_or_else(|| wrong(name, "is missing".into()))
+    arrays.get(name).ok_or_else(|| wrong(name, "is missing"))
 }
 
 fn length(name: &str, found: usize, expected: usize) -> Result<(), CheckpointError> {
     if found == expected {
         return Ok(());
     }
-    Err(wrong(name, format!("has {found} elements, expected {expected}")))
+    Err(wrong(name, &format!("has {found} elements, expected {expected}")))
 }
 
-fn wrong(name: &str, detail: String) -> CheckpointError {
-    CheckpointError::Array { name: name.to_owned(), detail }
+/// The error that the array `name` does not fit.
+pub(super) fn wrong(name: &str, detail: &str) -> CheckpointError {
+    CheckpointError::Other(format!("checkpoint: array {name} {detail}"))
 }
