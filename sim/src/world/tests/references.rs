@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::{motion, reference, robot, world_of};
+use super::{assert_continues_bit_for_bit, motion, reference, robot, world_of};
 
 fn numbers(value: &Value) -> Vec<f32> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap() as f32).collect()
@@ -49,5 +49,18 @@ fn motions_follow_mujocos() {
         at.iter_mut().zip(world.robot().reference()).for_each(|(at, by)| *at += by);
         let off = at.iter().zip(&reached).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(off < 0.002, "{name}: {at:?} against {reached:?}");
+    }
+}
+
+#[test]
+fn couplings_continue_from_a_restored_motion_bit_for_bit() {
+    let reference = reference();
+    for name in ["four bars", "a polynomial of a joint", "a tendon with a spring and a limit"] {
+        let mjcf = reference["motions"][name]["mjcf"].as_str().unwrap();
+        let world = || world_of(mjcf);
+        let count = world().robot().coordinate_names().len();
+        let at: Vec<f32> = (0..count).map(|index| 0.01 * (index as f32 + 1.0)).collect();
+        let speeds: Vec<f32> = at.iter().map(|number| 3.0 - 40.0 * number).collect();
+        assert_continues_bit_for_bit([world(), world()], &at, &speeds, &[0.2]);
     }
 }
