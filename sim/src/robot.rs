@@ -122,8 +122,9 @@ impl Robot {
             row.physics;
         blueprint.integration = integration.unwrap_or(blueprint.integration);
         blueprint.soften(ContactOverride { softness: contacts, margin }, &limits);
-        blueprint
-            .let_links_touch(self_contacts.unwrap_or(LINKS_TOUCH && contact_compliance.is_none()));
+        blueprint.contacts.links_touch =
+            self_contacts.unwrap_or(LINKS_TOUCH && contact_compliance.is_none());
+        blueprint.note_link_contacts();
         if let Some(compliance) = contact_compliance {
             blueprint.use_engine(compliance).map_err(refused)?;
         }

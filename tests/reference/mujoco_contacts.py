@@ -59,6 +59,10 @@ CAPSULE = (
 )
 SOFT = "0.015 1 0.031"
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.1, 0.1))
+FIELD = (
+    '<asset><hfield name="field" nrow="5" ncol="4" size="0.6 0.5 0.1 0.1"'
+    ' elevation="0 0 2 4 0 0 1 3 0 0 0 2 1 0 0 1 2 1 0 0"/></asset>'
+)
 MESH = f'<asset><mesh name="cube" vertex="{CUBE}"/></asset>'
 
 
@@ -124,6 +128,19 @@ MODELS = {
             '<geom type="capsule" size="0.1" fromto="-0.1 0 0 0.1 0 0" mass="2"/>',
         ),
         [0, 0.3],
+    ),
+    "ball on a height field": (
+        on('<geom type="hfield" hfield="field" pos="0 0 0.2"/>', '<geom size="0.1" pos="0.05 0.02 0" mass="2"/>', "", FIELD),
+        None,
+    ),
+    "box on a height field": (
+        on(
+            '<geom type="hfield" hfield="field" pos="0 0 0.2"/>',
+            '<geom type="box" size="0.1 0.05 0.05" pos="0.1 0 0.1" mass="2"/>',
+            "",
+            FIELD,
+        ),
+        None,
     ),
     "ball between two planes": (
         on('<geom type="plane" size="1 1 1" pos="-0.05 0 0.1" euler="0 1 0"/>', '<geom size="0.1" mass="2"/>'),

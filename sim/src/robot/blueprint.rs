@@ -1,12 +1,15 @@
 //! Description of a robot's world, independent of file formats: links, joints, motors, what stands in the world.
 
+mod contacts;
+
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
 use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan};
 use super::softness::{Integration, Softness, SoftnessOverride};
-use super::surface::{ContactOverride, ContactPlan, Surface};
+use super::surface::{ContactOverride, Surface};
 use crate::scene::Shape;
+pub(crate) use contacts::{Cone, ContactRules, GroundForm, GroundPlan, HeightField, Law, PairPlan};
 
 /// Description of a robot and of the fixed shapes that it can touch.
 #[derive(Debug)]
@@ -38,18 +41,6 @@ pub(crate) struct Blueprint {
     pub(crate) left_out: Vec<String>,
 }
 
-/// What enforces contacts and joint limits.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Law {
-    /// MuJoCo's soft constraints, solved for all contacts and limits together:
-    /// [`Constraints`](crate::world::Constraints).
-    Constraints,
-    /// The engine's solver, contact after contact, which applies this part of the contacts' compliance in units of
-    /// their inverse mass; [`ContactLaw`](crate::world::ContactLaw) applies the rest from the impulses of the last
-    /// step. The published robots have it.
-    Engine { compliance: f32 },
-}
-
 /// A state that the model names, in MuJoCo's coordinates. Each list may be empty, or have a wrong length.
 #[derive(Clone, Debug)]
 pub(crate) struct Keyframe {
@@ -61,58 +52,6 @@ pub(crate) struct Keyframe {
     pub(crate) velocities: Vec<f64>,
     /// Controls of the actuators.
     pub(crate) controls: Vec<f64>,
-}
-
-/// A shape that is fixed to the world.
-#[derive(Debug)]
-pub(crate) struct GroundPlan {
-    /// Its name in the model, or nothing.
-    pub(crate) name: String,
-    pub(crate) form: GroundForm,
-    pub(crate) pose: Pose,
-    pub(crate) surface: Surface,
-    /// Index of its body in the model.
-    pub(crate) body: usize,
-}
-
-/// Form of a shape that is fixed to the world.
-#[derive(Debug)]
-pub(crate) enum GroundForm {
-    /// A half-space below the plane z = 0.
-    Plane,
-    Solid(Shape),
-}
-
-/// Rules for contacts of a whole model.
-#[derive(Clone, Debug)]
-pub(crate) struct ContactRules {
-    pub(crate) cone: Cone,
-    /// Ratio of the compliance of a contact's normal to that of its friction.
-    pub(crate) impratio: f64,
-    /// What a task states in place of the model's numbers.
-    pub(crate) stated: ContactOverride,
-    /// Shapes that touch by rules of their own, in the order of their shapes.
-    pub(crate) pairs: Vec<PairPlan>,
-    /// Bodies that do not touch, the one with the smaller index first.
-    pub(crate) excluded: Vec<[usize; 2]>,
-    /// Whether links touch each other and the base.
-    pub(crate) links_touch: bool,
-}
-
-/// Two shapes that touch by rules of their own.
-#[derive(Clone, Debug)]
-pub(crate) struct PairPlan {
-    /// Their indices among the shapes of all links, then the fixed shapes, the smaller first.
-    pub(crate) shapes: [usize; 2],
-    pub(crate) contact: ContactPlan,
-}
-
-/// Limit of a contact's friction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Cone {
-    /// A pyramid with its edges along the tangents.
-    Pyramidal,
-    Elliptic,
 }
 
 /// A link. Bodies without a joint are merged into the link of their parent.
@@ -326,101 +265,6 @@ impl Blueprint {
                 hinge.limit = hinge.limit.with(limits);
             }
         }
-    }
-
-    /// Sets whether links touch each other and the base. If not, this is noted as left out.
-    pub(crate) fn let_links_touch(&mut self, links_touch: bool) {
-        self.contacts.links_touch = links_touch;
-        let shapes: Vec<(usize, &ShapePlan)> = (0..self.links.len())
-            .flat_map(|link| self.links[link].shapes.iter().map(move |shape| (link, shape)))
-            .collect();
-        let meet = |(a, one): &(usize, &ShapePlan), (b, other): &(usize, &ShapePlan)| {
-            let surfaces = one.surface.zip(other.surface);
-            let bodies = [one.body.min(other.body), one.body.max(other.body)];
-            a != b
-                && surfaces.is_some_and(|(one, other)| one.meets(&other))
-                && self.parent_of(*a) != Some(*b)
-                && self.parent_of(*b) != Some(*a)
-                && !self.contacts.excluded.contains(&bodies)
-        };
-        let meets = |shape: &&(usize, &ShapePlan)| shapes.iter().any(|other| meet(shape, other));
-        let count = if links_touch { 0 } else { shapes.iter().filter(meets).count() };
-        if count > 0 {
-            let what = format!("links do not touch each other: contacts between {count} shapes");
-            self.left_out.push(what);
-        }
-    }
-
-    /// The link of the parent of a link's body; none on the world or the base. A body with several joints has links without
-    /// a mass before its own.
-    pub(crate) fn parent_of(&self, link: usize) -> Option<usize> {
-        let mut parent = self.links[link].parent?;
-        while self.links[parent].mass.inv_mass == 0.0 && !self.links[parent].is_base() {
-            parent = self.links[parent].parent?;
-        }
-        Some(parent).filter(|parent| !self.links[*parent].is_base())
-    }
-
-    /// Has the engine's solver enforce contacts and limits, which it cannot do for all models.
-    pub(crate) fn use_engine(&mut self, compliance: f32) -> Result<(), String> {
-        let reason = |why: &str| Err(format!("`physics.contact_compliance` {why}; remove it"));
-        let is_plain = self.contacts.pairs.is_empty() && !self.contacts.links_touch;
-        let grounds = self.grounds.as_slice();
-        if !is_plain || !matches!(grounds, [] | [GroundPlan { form: GroundForm::Plane, .. }]) {
-            return reason("needs a world with one plane and nothing else to touch");
-        }
-        let contacts = self.shapes().filter_map(|shape| self.floor_contact(shape));
-        let contacts = contacts.map(|contact| contact.softness);
-        let hinges = self.links.iter().filter_map(LinkPlan::hinge);
-        let limits = hinges.filter(|hinge| hinge.range.is_some()).map(|hinge| hinge.limit);
-        if !contacts.chain(limits).all(|softness| softness.is_plain()) {
-            return reason(
-                "needs `solref` with a damping ratio of 1 and `solimp` with midpoint 0.5 and power 2",
-            );
-        }
-        let free = |joint: &JointPlan| match joint {
-            JointPlan::Free(free) | JointPlan::Floating(free) => free.friction,
-            _ => 0.0,
-        };
-        let has_limit = |tendon: &TendonPlan| tendon.range.is_some() || tendon.friction > 0.0;
-        if !self.equalities.is_empty()
-            || !self.connections.is_empty()
-            || self.tendons.iter().any(has_limit)
-            || self.links.iter().any(|link| free(&link.joint) > 0.0)
-        {
-            return reason(
-                "needs a model without equalities, limits or friction of tendons, and friction of a free joint",
-            );
-        }
-        if self.contacts.cone == Cone::Elliptic {
-            let what = "friction is limited by a pyramid, not by an elliptic cone";
-            self.left_out.push(what.to_owned());
-        }
-        if self.contacts.impratio != 1.0 {
-            self.left_out.push("`impratio` is 1".to_owned());
-        }
-        self.law = Law::Engine { compliance };
-        Ok(())
-    }
-
-    /// Contact of a shape with the fixed shape `ground`; `None` if MuJoCo computes none.
-    pub(crate) fn contact(&self, shape: &ShapePlan, ground: &GroundPlan) -> Option<ContactPlan> {
-        let surface = shape.surface.filter(|surface| surface.meets(&ground.surface))?;
-        Some(surface.contact(&ground.surface, &self.contacts.stated, self.timestep_secs))
-    }
-
-    /// Whether a shape, the one with the index `index` of all, can touch anything.
-    pub(crate) fn touches(&self, link: &LinkPlan, index: usize, shape: &ShapePlan) -> bool {
-        let Some(surface) = shape.surface else { return false };
-        let is_paired = self.contacts.pairs.iter().any(|pair| pair.shapes.contains(&index));
-        let is_on_ground =
-            self.grounds.iter().any(|ground| surface.meets(&ground.surface)) && !link.is_base();
-        is_paired || is_on_ground || (self.contacts.links_touch && surface.collides())
-    }
-
-    /// Contact of a shape with the first fixed shape, the only one in the engine's law.
-    pub(crate) fn floor_contact(&self, shape: &ShapePlan) -> Option<ContactPlan> {
-        self.contact(shape, self.grounds.first()?)
     }
 
     /// All shapes of the links, in order.

@@ -7,6 +7,7 @@ mod bodies;
 mod contacts;
 mod context;
 mod couplings;
+mod fields;
 mod flat;
 mod geoms;
 mod joints;

@@ -190,7 +190,7 @@ pub(super) fn take_grounds(
     context: &mut Context,
     folder: &mut Folder<'_>,
 ) -> Vec<GroundPlan> {
-    let has_base = has_base(bodies);
+    let (has_base, has_contacts) = (has_base(bodies), context.options.has_contacts);
     let moving = bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
     for plane in moving.clone().filter(|geom| geom.is_plane()) {
         let reason = "a plane must be fixed to the world: move it there, or use a box";
@@ -207,8 +207,8 @@ pub(super) fn take_grounds(
             .partition(|geom| is_taken || geom.is_plane());
         body.geoms = kept;
         let touched = |geom: &&Geom| geom.meets(&moving);
-        for geom in taken.iter().filter(|_| context.options.has_contacts).filter(touched) {
-            let ground = geom.ground((&frames[index], index), &mut context.meshes, folder);
+        for geom in taken.iter().filter(|_| has_contacts).filter(touched) {
+            let ground = geom.ground((&frames[index], index), &mut *context, folder);
             grounds.extend(context.blockers.keep(ground));
         }
     }

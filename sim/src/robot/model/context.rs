@@ -1,18 +1,20 @@
 //! Default classes, options and meshes of a model, on which the reading of its elements depends.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::super::document::{Classes, Element};
 use super::blockers::Blockers;
-use super::contacts;
 use super::meshes::Meshes;
 use super::options::Options;
+use super::{contacts, fields};
 
 /// Default classes, options and meshes of a model.
 pub(super) struct Context {
     pub(super) classes: Classes,
     pub(super) options: Options,
     pub(super) meshes: Meshes,
+    /// Height fields by name.
+    pub(super) fields: BTreeMap<String, Element>,
     /// Names of the shapes in contact pairs.
     pub(super) paired: BTreeSet<String>,
     /// What cannot be built.
@@ -27,6 +29,7 @@ impl Context {
         let classes = Classes::new(root)?;
         let meshes = Meshes::read(root, &classes, &options)?;
         let paired = contacts::paired(root);
-        Ok((Self { classes, options, meshes, paired, blockers }, left_out))
+        let fields = fields::read(root);
+        Ok((Self { classes, options, meshes, fields, paired, blockers }, left_out))
     }
 }

@@ -142,6 +142,10 @@ fn assets(section: &mut Element, context: &Context, hulls: &Hulls) -> Result<(),
     for mut asset in std::mem::take(&mut section.children) {
         let name = match asset.tag.as_str() {
             "mesh" => asset_name(&context.classes.resolve(&asset, None)?),
+            "hfield" => {
+                section.children.push(asset);
+                continue;
+            }
             _ => continue,
         };
         if let Some(hull) = hulls.get(&name) {

@@ -10,6 +10,7 @@ use super::super::frame::{Frame, IDENTITY, vector};
 use super::super::inertia::Solid;
 use super::super::surface::Surface;
 use super::context::Context;
+use super::fields;
 use super::meshes::Meshes;
 use crate::scene::Shape;
 
@@ -194,14 +195,17 @@ impl Geom {
     pub(super) fn ground(
         &self,
         (frame, body): (&Frame, usize),
-        meshes: &mut Meshes,
+        context: &mut Context,
         folder: &mut Folder<'_>,
     ) -> Result<GroundPlan, String> {
-        let (form, pose) = if self.is_plane() {
-            (GroundForm::Plane, frame.then(&self.frame).pose())
-        } else {
-            let (shape, pose) = self.shape(meshes, folder)?;
-            (GroundForm::Solid(shape), frame.pose() * pose)
+        let placed = frame.then(&self.frame).pose();
+        let (form, pose) = match self.kind() {
+            "plane" => (GroundForm::Plane, placed),
+            "hfield" => (GroundForm::Field(fields::field(&self.element, &context.fields)?), placed),
+            _ => {
+                let (shape, pose) = self.shape(&mut context.meshes, folder)?;
+                (GroundForm::Solid(shape), frame.pose() * pose)
+            }
         };
         Ok(GroundPlan { name: self.name(), form, pose, surface: self.surface, body })
     }

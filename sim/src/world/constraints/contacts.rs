@@ -96,7 +96,7 @@ impl Touching {
             form: match ground.form {
                 GroundForm::Plane => TouchForm::Plane,
                 GroundForm::Solid(Shape::Capsule { .. }) => TouchForm::Capsule,
-                GroundForm::Solid(_) => TouchForm::Other,
+                GroundForm::Solid(_) | GroundForm::Field(_) => TouchForm::Other,
             },
         });
         Self {

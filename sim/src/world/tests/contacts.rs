@@ -39,6 +39,9 @@ fn contacts_limits_and_dry_friction_move_robots_as_in_mujoco() {
         let most = match name.as_str() {
             // MuJoCo's Runge-Kutta integrator computes the forces four times in a step.
             name if name.contains("Runge-Kutta") => 2e-2,
+            // Both engines choose among many points.
+            "box on a height field" => 2e-2,
+            "ball on a height field" => 1e-3,
             // Boxes and capsules turn by their contacts' last digits.
             "box on a box" | "capsule on a box" => 5e-4,
             name if name.contains("finger") => 1e-3,

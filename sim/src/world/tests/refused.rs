@@ -160,3 +160,36 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
     ]);
 }
+
+#[test]
+fn refused_height_fields_and_pairs_are_named_with_what_to_do() {
+    let field = |attributes: &str| {
+        let ground = "<geom type=\"hfield\" hfield=\"h\"/>";
+        let asset = format!("<mujoco><asset><hfield name=\"h\" {attributes}/></asset>");
+        document(&format!("{ground}{LOPSIDED}"), "").replace("<mujoco>", &asset)
+    };
+    let pair = |attributes: &str| {
+        let shapes = "<geom name=\"wall\" type=\"box\" size=\"1 1 1\"/>\
+            <body pos=\"0 0 9\"><joint/><geom name=\"a\" size=\"0.1\"/></body>";
+        let pair = format!("<contact><pair geom1=\"a\" {attributes}/></contact></mujoco>");
+        document(shapes, "").replace("</mujoco>", &pair)
+    };
+    assert_refused(&[
+        (
+            field("nrow=\"2\" ncol=\"2\" file=\"a.png\""),
+            "a file with heights is not supported; state",
+        ),
+        (field("nrow=\"1\" ncol=\"2\""), "`nrow` must lie in 2..=1048576, is 1"),
+        (field("nrow=\"99999\" ncol=\"99999\" size=\"1 1 1 1\""), "at most 1048576 heights"),
+        (field("nrow=\"2\" ncol=\"2\" size=\"1 1 0 1\""), "positive sizes"),
+        (
+            field("nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\" elevation=\"1 2 3\""),
+            "`elevation` must have 4 numbers, has 3",
+        ),
+        (pair(""), "it must have `geom2`; add it"),
+        (pair("geom2=\"lost\""), "no shape that can touch has the name `lost`"),
+        (pair("geom2=\"wall\" condim=\"2\""), "`condim` must be 1, 3, 4 or 6"),
+        (pair("geom2=\"wall\" solref=\"0.02 -1\""), "the two numbers of its `solref`"),
+        (pair("geom2=\"wall\" solreffriction=\"1 1\""), "the attribute `solreffriction`"),
+    ]);
+}
