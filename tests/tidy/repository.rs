@@ -38,8 +38,10 @@ pub(crate) fn read(path: &str) -> String {
 
 /// Every text file of the project, by path: what git knows or does not ignore. Binary files are left out.
 pub(crate) fn texts() -> Vec<Text> {
+    // The clone may belong to another user than the one who tests it.
+    let any_owner = ["-c", "safe.directory=*"];
     let listed = ["ls-files", "-z", "--cached", "--others", "--exclude-standard"];
-    let output = Command::new("git").args(listed).current_dir(root()).output();
+    let output = Command::new("git").args(any_owner).args(listed).current_dir(root()).output();
     let output = output.expect("git lists the files of the project");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let paths = String::from_utf8(output.stdout).expect("all paths are text");

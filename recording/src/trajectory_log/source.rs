@@ -23,6 +23,11 @@ pub fn is_log_name(name: &str) -> bool {
     name.starts_with(PREFIX) && name.ends_with(SUFFIX)
 }
 
+/// Creates the folder of an actor's logs.
+pub(super) fn make_folder(folder: &Path) -> std::io::Result<()> {
+    std::fs::create_dir_all(folder)
+}
+
 /// Creates a file with the first unused number of this actor.
 pub(super) fn new_log(folder: &Path, actor: &str) -> Result<(PathBuf, File), RecordError> {
     let mut number = 0;

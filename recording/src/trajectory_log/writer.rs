@@ -81,7 +81,7 @@ impl Log {
         let wrong = |what: String| {
             move |error: io::Error| io::Error::other(format!("cannot {what}: {error}"))
         };
-        std::fs::create_dir_all(&config.folder)
+        source::make_folder(&config.folder)
             .map_err(wrong(format!("create {}", config.folder.display())))?;
         let lost = Arc::new(Lost::default());
         let writer = LogWriter {
