@@ -50,7 +50,8 @@ pub(crate) struct CommandRanges {
 enum RootMotion {
     /// In the plane of x and z; the first velocity is that along x.
     Planar,
-    /// Free; the value is the first coordinate of its quaternion (w x y z). The first velocities are three linear and three angular ones.
+    /// Free; the value is the first coordinate of its quaternion (w x y z). The first velocities are three linear and three
+    /// angular ones.
     Free(usize),
 }
 

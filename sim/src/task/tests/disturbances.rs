@@ -10,6 +10,7 @@ const EVERYTHING: &str = r#"
 forward = [-1.0, 1.0]
 
 [disturbance]
+slope = [0.0, 0.1]
 friction = [0.5, 1.5]
 motor_strength = [0.8, 1.2]
 joint_damping = [0.5, 2.0]
@@ -105,6 +106,8 @@ fn the_state_has_a_named_feature_for_everything_that_is_drawn() {
     let expected = [
         "command.forward",
         "disturbance.friction",
+        "disturbance.gravity.x",
+        "disturbance.gravity.y",
         "disturbance.payload.thigh",
         "disturbance.motor_strength.hip",
         "disturbance.motor_strength.knee",

@@ -49,7 +49,7 @@ fn a_force_and_a_payload_on_a_link_have_mujocos_effect() {
     ] {
         let angles = swung(pendulum(CAPSULE), force, payload);
         for (angle, expected) in angles.iter().zip(expected) {
-            assert!((angle - expected).abs() < 2e-3, "{force} {payload}: {angles:?}");
+            assert!((angle - expected).abs() < 1e-5, "{force} {payload}: {angles:?}");
         }
     }
 }
