@@ -234,10 +234,8 @@ impl World {
                 (1, sign)
             }
             MapKind::Floating => {
-                // The orientation is a part of the joint's frame, because the joint's own cannot be set.
                 let rotation = Rotation::from_xyzw(q[4], q[5], q[6], q[3]);
-                link.joint = MultibodyJoint::new(floating_joint(rotation), false);
-                link.joint.apply_displacement(&[q[0], q[1], q[2], 0.0, 0.0, 0.0]);
+                link.joint = floating_at([q[0], q[1], q[2]], rotation);
                 (6, 1.0)
             }
             MapKind::Free => {
@@ -271,6 +269,20 @@ fn place(physics: &mut PhysicsWorld, index: MultibodyIndex) {
     }
 }
 
+/// The joint of a floating root. The orientation is a part of the joint's frame, because the joint's own cannot be set.
+fn floating_at([x, y, z]: [f32; 3], rotation: Rotation) -> MultibodyJoint {
+    let mut joint = MultibodyJoint::new(floating_joint(rotation), false);
+    joint.apply_displacement(&[x, y, z, 0.0, 0.0, 0.0]);
+    joint
+}
+
+/// Position and orientation of a floating root.
+fn floating_pose(joint: &MultibodyJoint) -> ([f32; 3], Rotation) {
+    let coords = joint.coords();
+    let rotation = joint.joint_rot() * joint.data.local_frame2.rotation.inverse();
+    ([coords[0], coords[1], coords[2]], rotation)
+}
+
 /// Adds zero to turn -0 into 0, as writing the value back would.
 fn read_coordinates(multibody: &Multibody, joint: &JointMap, out: &mut [f32]) {
     let link = multibody.link(joint.link).expect("the layout is this robot's");
@@ -284,9 +296,8 @@ fn read_coordinates(multibody: &Multibody, joint: &JointMap, out: &mut [f32]) {
         MapKind::Fixed => {}
         MapKind::Hinge { axis, sign } => out[0] = sign * coords[axis] + 0.0,
         MapKind::Free | MapKind::Floating => {
-            let inside = link.joint().data.local_frame2.rotation;
             let rotation = match joint.kind {
-                MapKind::Floating => link.joint().joint_rot() * inside.inverse(),
+                MapKind::Floating => floating_pose(link.joint()).1,
                 _ => link.joint().joint_rot(),
             };
             let [x, y, z, w] = rotation.to_array();

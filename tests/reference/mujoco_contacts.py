@@ -58,6 +58,14 @@ CAPSULE = (
     '<body pos="0 0.3 0"><geom size="0.04" density="300"/></body></body></body>'
 )
 SOFT = "0.015 1 0.031"
+
+
+def wheel(height, joint=""):
+    """A ball on a hinge through its centre, of which contacts feel no inverse mass in the rest pose."""
+    return f'<body pos="0 0 {height}"><joint axis="0 1 0" {joint}/><geom size="0.1"/></body>'
+
+
+SPRUNG = 'stiffness="0.5" springref="1"'
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.1, 0.1))
 FIELD = (
     '<asset><hfield name="field" nrow="5" ncol="4" size="0.6 0.5 0.1 0.1"'
@@ -86,6 +94,10 @@ MODELS = {
     "softer ball": (ball('condim="1" solimp="0.2 0.2 0.001"'), None),
     "ball on a curve of power 3": (ball('condim="1" solimp="0.1 0.99 0.02 0.3 3"'), None),
     "ball on a linear curve": (ball('condim="1" solimp="0.1 0.99 0.02 0.5 1"'), None),
+    "ball without a width": (ball('condim="1" solimp="0.2 0.8 0"'), None),
+    "sprung wheel in the floor": (document(wheel(0.05, SPRUNG)), None),
+    "wheel that turns in the floor": (document(wheel(0.05), 'cone="elliptic"'), [2]),
+    "wheels that touch": (document(wheel(1, SPRUNG) + wheel(1.15)), None),
     "underdamped ball": (ball('condim="1" solref="0.04 0.3"'), None),
     "ball with a stated stiffness": (ball('condim="1" solref="-3000 -20"'), None),
     "ball with a margin": (ball('condim="1" margin="0.005"', height=0.12), None),

@@ -56,7 +56,7 @@ pub(crate) struct JointMap {
 }
 
 /// Coordinates of a joint.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum MapKind {
     /// x, z, rotation about y.
     Planar,

@@ -18,7 +18,7 @@ pub(crate) struct Softness {
     pub(crate) reference: Reference,
     /// Impedance without violation and at violations of `width` or more, each in `(0, 1)`.
     pub(crate) impedance: [f32; 2],
-    /// Violation at which the impedance is largest, m or rad.
+    /// Violation at which the impedance is largest, m or rad; 0 for the mean impedance at all violations.
     pub(crate) width: f32,
     /// Violation, as a fraction of `width`, at which the two parts of the impedance's curve meet.
     pub(crate) midpoint: f32,
@@ -47,6 +47,9 @@ pub(crate) struct SoftnessOverride {
     pub(crate) width: Option<f32>,
 }
 
+/// Widths up to this are none, as in MuJoCo.
+const LEAST_WIDTH: f64 = 1e-15;
+
 /// Smallest impedance and midpoint, as in MuJoCo.
 const SMALLEST_IMPEDANCE: f32 = 1e-4;
 
@@ -67,7 +70,7 @@ impl Softness {
         Self {
             reference: Reference::new(solref, step_secs),
             impedance: [bounded(first), bounded(last)],
-            width: width.max(1e-9) as f32,
+            width: if width > LEAST_WIDTH { width as f32 } else { 0.0 },
             midpoint: bounded(midpoint),
             power: power.max(1.0) as f32,
         }
@@ -111,6 +114,9 @@ impl Softness {
     /// Impedance `d`, interpolated over `width` by two power functions.
     pub(crate) fn impedance_at(&self, violation: f32) -> f32 {
         let [first, last] = self.impedance;
+        if self.width == 0.0 {
+            return 0.5 * (first + last);
+        }
         let x = (violation / self.width).clamp(0.0, 1.0);
         let [mid, power] = [self.midpoint, self.power];
         // MuJoCo's default is computed without the library's powers.

@@ -11,6 +11,7 @@
 
 mod contacts;
 mod couplings;
+mod matrix;
 mod motion;
 mod problem;
 
@@ -84,12 +85,10 @@ impl Constraints {
             self.problem.solve();
         }
         self.normal_impulse = self.step_secs * self.touching.normal_force(&self.problem.forces);
-        self.problem.push(&mut self.change);
-        for (change, pull) in self.change.iter_mut().zip(&self.problem.pull) {
-            *change = self.step_secs * (*change + pull);
-        }
-        problem::factorise(&mut self.implicit_mass, self.change.len());
-        problem::substitute(&self.implicit_mass, &mut self.change);
+        self.problem.total(&mut self.change);
+        self.change.iter_mut().for_each(|change| *change *= self.step_secs);
+        matrix::factorise(&mut self.implicit_mass, self.change.len());
+        matrix::substitute(&self.implicit_mass, &mut self.change);
         self.apply(layout, physics)
     }
 

@@ -101,7 +101,6 @@ fn assert_continues_bit_for_bit(
         assert!(first.step(controls));
     }
     let (at, speeds) = motion(&first);
-    first.rebuild(&at, &speeds);
     second.rebuild(&at, &speeds);
     for _ in 0..100 {
         assert!(first.step(controls) && second.step(controls));

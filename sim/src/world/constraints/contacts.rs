@@ -8,11 +8,14 @@ use rapier3d::prelude::PhysicsWorld;
 
 use super::Rule;
 use super::motion::{LinkMotion, Motion, wide};
-use super::problem::{ConstraintProblem, Kind, MOST_ROWS};
+use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
     Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, ShapeTag, Surface,
 };
 use crate::scene::Shape;
+
+/// Levers up to this are rounding, m. Without compliance, even such a lever would turn a link.
+const LEAST_LEVER: f64 = 1e-6;
 
 /// The shapes of a robot and its world that can touch, and the contacts of the last step.
 pub(super) struct Touching {
@@ -111,6 +114,10 @@ impl Touching {
 
     /// Whether two shapes can touch, by MuJoCo's rules.
     fn meet(&self, first: ShapeTag, second: ShapeTag) -> bool {
+        let is_link = |tag: ShapeTag| matches!(self.shapes[tag.shape].kind, TouchKind::Link(_));
+        if !is_link(first) && !is_link(second) {
+            return false;
+        }
         if self.pair(first, second).is_some() {
             return true;
         }
@@ -257,20 +264,20 @@ impl Contact<'_> {
                 };
                 let aim = rule.aim(softness, position, speed(problem, speeds));
                 let share = if direction == 0 { 1.0 } else { ratio * ratio / impratio };
-                problem.set_row(aim, compliance * share);
+                problem.set_scaled_row(aim, compliance, share);
             }
             let friction = self.plan.friction;
             return (problem.close(Kind::Cone { mu: mu / impratio.sqrt(), friction }), 1);
         }
         // All edges of a pyramid have the compliance of the first.
-        let compliance = 2.0 * mu * mu / impratio * compliance * (1.0 + mu * mu);
+        let compliance = compliance * (1.0 + mu * mu);
         let mut first = 0;
         for direction in 1..=frictions {
             for sign in [1.0, -1.0] {
                 let friction = sign * self.plan.friction[direction - 1];
                 self.fill(problem.add_row(), &[(0, 1.0), (direction, friction)]);
                 let aim = rule.aim(softness, Some(self.position), speed(problem, speeds));
-                problem.set_row(aim, compliance);
+                problem.set_scaled_row(aim, compliance, 2.0 * mu * mu / impratio);
                 first = problem.close(Kind::Push);
             }
         }
@@ -282,20 +289,19 @@ impl Contact<'_> {
     fn fill(&self, row: &mut [f64], directions: &[(usize, f64)]) {
         for (link, sign) in self.links.iter().zip([-1.0, 1.0]) {
             let Some(link) = link else { continue };
-            let mut wrench = [0.0; MOST_ROWS];
             for (direction, factor) in directions {
                 let axis = self.axes[direction % 3];
                 let [force, torque] = match direction {
                     0..3 => [axis, (self.point - link.mass_centre).cross(axis)],
                     _ => [DVec3::ZERO, axis],
                 };
-                let parts = force.to_array().into_iter().chain(torque.to_array());
-                for (sum, part) in wrench.iter_mut().zip(parts) {
-                    *sum += sign * factor * part;
+                for (number, column) in row.iter_mut().zip(&link.jacobian) {
+                    let [moved, turned] = [0, 3].map(|k| DVec3::from_slice(&column[k..k + 3]));
+                    let lever = moved.dot(force) + turned.dot(torque);
+                    if lever.abs() > LEAST_LEVER * turned.length() {
+                        *number += sign * factor * lever;
+                    }
                 }
-            }
-            for (number, column) in row.iter_mut().zip(&link.jacobian) {
-                *number += column.iter().zip(&wrench).fold(0.0, |sum, (a, b)| sum + a * b);
             }
         }
     }

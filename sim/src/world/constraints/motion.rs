@@ -5,6 +5,7 @@ use rapier3d::glamx::{DMat3, DQuat, DVec3};
 use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::PhysicsWorld;
 
+use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
 use crate::robot::{Blueprint, JointMap, JointPlan, Layout, LinkPlan, MapKind};
 
@@ -201,6 +202,11 @@ pub(super) fn move_joint(
     let link = multibody.link_mut(map.link).expect("the layout is this robot's");
     link.joint = start.joint;
     link.joint.apply_displacement(&moved[..count]);
+    if map.kind == MapKind::Floating {
+        // The joint of a rebuilt world has its orientation elsewhere, and would round differently.
+        let (position, rotation) = floating_pose(&link.joint);
+        link.joint = floating_at(position, rotation);
+    }
 }
 
 /// A vector in double precision.

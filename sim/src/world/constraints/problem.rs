@@ -3,8 +3,8 @@
 //! Without constraints, the accelerations `a` have `M a = b`. A constraint with the row `J` of the Jacobian, the
 //! reference acceleration `a_ref` and the compliance `R` adds the force `f = (a_ref - J a) / R`, which is limited by its
 //! kind. The accelerations are where `a M a / 2 - a b` plus the constraints' costs is least; a cost has the slope `-f`.
-//!
-//! All sums have a fixed order and only use arithmetic and square roots, so that every platform finds the same bits.
+
+use super::matrix::{add_product, add_scaled, dot, factorise, multiply, substitute};
 
 /// Most steps of Newton's method; a robot on four feet needs three to six.
 const MOST_STEPS: usize = 40;
@@ -14,6 +14,9 @@ const MOST_LENGTHS: usize = 24;
 const PRECISION: f64 = 1e-13;
 /// A length is accepted when the slope there is less than this part of that at the start.
 const FLAT: f64 = 1e-2;
+/// Least compliance of a constraint, for those without inverse mass in the rest pose. MuJoCo's 1e-15 would leave too few
+/// digits for the masses in the second derivatives.
+const LEAST_COMPLIANCE: f64 = 1e-12;
 /// Most rows of a constraint.
 pub(super) const MOST_ROWS: usize = 6;
 
@@ -121,8 +124,13 @@ impl ConstraintProblem {
 
     /// Sets the reference acceleration and the compliance of the row that was added last.
     pub(super) fn set_row(&mut self, aim: f64, compliance: f64) {
+        self.set_scaled_row(aim, compliance, 1.0);
+    }
+
+    /// As [`Self::set_row`], with a factor of the compliance.
+    pub(super) fn set_scaled_row(&mut self, aim: f64, compliance: f64, factor: f64) {
         self.aims.push(aim);
-        self.weights.push(1.0 / compliance.max(f64::MIN_POSITIVE.sqrt()));
+        self.weights.push(1.0 / (factor * compliance.max(LEAST_COMPLIANCE)));
     }
 
     /// Makes the rows since the last constraint a constraint. Returns the index of its first row.
@@ -152,11 +160,12 @@ impl ConstraintProblem {
         self.weigh();
     }
 
-    /// `J^T f`.
-    pub(super) fn push(&self, out: &mut [f64]) {
-        out.fill(0.0);
-        for (row, force) in self.rows.chunks_exact(self.size).zip(&self.forces) {
-            add_scaled(out, *force, row);
+    /// Forces with those of the constraints, `M a`. The sum `b + J^T f` is less exact: large forces may cancel.
+    pub(super) fn total(&self, out: &mut [f64]) {
+        if self.has_constraints() {
+            multiply(&self.mass, &self.accelerations, out);
+        } else {
+            out.copy_from_slice(&self.pull);
         }
     }
 
@@ -342,58 +351,4 @@ fn scaled(
         scaled[k] = friction[k - 1] * residuals[k];
     }
     (scaled[0], dot(&scaled[1..], &scaled[1..]).sqrt(), scaled)
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).fold(0.0, |sum, (a, b)| sum + a * b)
-}
-
-fn add_scaled(out: &mut [f64], factor: f64, numbers: &[f64]) {
-    out.iter_mut().zip(numbers).for_each(|(out, number)| *out += factor * number);
-}
-
-/// Adds `factor a b^T` to the lower half of a matrix.
-pub(super) fn add_product(matrix: &mut [f64], factor: f64, a: &[f64], b: &[f64]) {
-    for (index, (line, number)) in matrix.chunks_exact_mut(a.len()).zip(a).enumerate() {
-        if *number != 0.0 {
-            add_scaled(&mut line[..=index], factor * number, b);
-        }
-    }
-}
-
-/// Product of a symmetric matrix, of which the lower half is read, with a vector.
-pub(super) fn multiply(matrix: &[f64], vector: &[f64], out: &mut [f64]) {
-    out.fill(0.0);
-    for (index, line) in matrix.chunks_exact(vector.len()).enumerate() {
-        out[index] += dot(&line[..=index], vector);
-        add_scaled(&mut out[..index], vector[index], line);
-    }
-}
-
-/// Replaces the lower half of a positive definite matrix by its Cholesky factor.
-pub(super) fn factorise(matrix: &mut [f64], size: usize) {
-    for index in 0..size {
-        let (done, rest) = matrix.split_at_mut(index * size);
-        let line = &mut rest[..size];
-        for column in 0..index {
-            let other = &done[column * size..][..=column];
-            line[column] = (line[column] - dot(&line[..column], other)) / other[column];
-        }
-        line[index] = (line[index] - dot(&line[..index], &line[..index])).sqrt();
-    }
-}
-
-/// Solves a system with a Cholesky factor.
-pub(super) fn substitute(factor: &[f64], vector: &mut [f64]) {
-    let size = vector.len();
-    for index in 0..size {
-        let line = &factor[index * size..][..=index];
-        vector[index] = (vector[index] - dot(&line[..index], vector)) / line[index];
-    }
-    for index in (0..size).rev() {
-        let line = &factor[index * size..][..=index];
-        vector[index] /= line[index];
-        let number = vector[index];
-        add_scaled(&mut vector[..index], -number, line);
-    }
 }
