@@ -230,6 +230,10 @@ fn an_off_centre_free_robot_continues_from_its_numbers_bit_for_bit() {
     let speeds = [0.1, 0.2, -0.3, 1.0, 2.0, -1.0, 0.5];
     let worlds = [world(LOPSIDED, ""), world(LOPSIDED, "")];
     assert_continues_bit_for_bit(worlds, &at, &speeds, &[]);
+    // In the air, then on the floor.
+    let worlds = [world(LOPSIDED, ""), world(LOPSIDED, "")];
+    let at = [0.0, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0, 0.1];
+    assert_continues_bit_for_bit(worlds, &at, &[0.0; 7], &[]);
 }
 
 #[test]
