@@ -69,7 +69,7 @@ const FIXED: [(&str, &str, &str); 8] = [
     ("option", "wind", "0 0 0"),
     ("option", "magnetic", "0 -0.5 0"),
 ];
-/// Settings of MuJoCo's solver, which rapier's replaces.
+/// Settings of MuJoCo's solver and collision detection, which have others here, and of contacts, which are read.
 const SOLVER: [&str; 17] = [
     "solver",
     "iterations",
@@ -90,7 +90,7 @@ const SOLVER: [&str; 17] = [
     "apirate",
 ];
 /// Flags that do not change the motion, or only MuJoCo's solver.
-const FLAGS: [&str; 14] = [
+const FLAGS: [&str; 11] = [
     "energy",
     "fwdinv",
     "invdiscrete",
@@ -101,10 +101,13 @@ const FLAGS: [&str; 14] = [
     "sensor",
     "sensornoise",
     "warmstart",
-    "filterparent",
     "autoreset",
-    "refsafe",
-    "eulerdamp",
+];
+/// Flags that count as enabled, with what then differs from the model.
+const KEPT: [(&str, &str); 3] = [
+    ("filterparent", "links do not touch their parents, as with the flag `filterparent`"),
+    ("refsafe", "the time constant of `solref` is at least two steps, as with the flag `refsafe`"),
+    ("eulerdamp", "the damping of joints is implicit, as with the flag `eulerdamp`"),
 ];
 /// Flags that must be enabled.
 const ENABLED: [&str; 3] = ["passive", "clampctrl", "actuation"];
@@ -158,7 +161,13 @@ impl Options {
         let known =
             ["timestep", "gravity", "integrator", "density", "viscosity", "wind", "magnetic"];
         blockers.keep(option.only(&[&SOLVER, &known]));
-        blockers.keep(flags.only(&[&FLAGS, &ENABLED, &CONSTRAINTS, &["gravity"]]));
+        blockers.keep(flags.only(&[
+            &FLAGS,
+            &KEPT.map(|(flag, _)| flag),
+            &ENABLED,
+            &CONSTRAINTS,
+            &["gravity"],
+        ]));
         for flag in ENABLED {
             if flags.flag(flag)? == Some(false) {
                 let reason = format!("{flag}=\"disable\" is not supported; remove it");
@@ -196,7 +205,7 @@ impl Options {
         if flags.flag("gravity")? == Some(false) {
             options.gravity = Vector::ZERO;
         }
-        Ok((options, differences(&option)?))
+        Ok((options, differences(&option, &flags)?))
     }
 }
 
@@ -310,10 +319,15 @@ fn contact_rules(option: &Element) -> Result<ContactRules, String> {
     })
 }
 
-fn differences(option: &Element) -> Result<Vec<String>, String> {
+fn differences(option: &Element, flags: &Element) -> Result<Vec<String>, String> {
     let mut left_out = Vec::new();
     if option.integer("noslip_iterations", 0)? != 0 {
         left_out.push("there is no solver that prevents slip".to_owned());
+    }
+    for (flag, what) in KEPT {
+        if flags.flag(flag)? == Some(false) {
+            left_out.push(what.to_owned());
+        }
     }
     Ok(left_out)
 }

@@ -294,4 +294,9 @@ fn what_is_left_out_is_listed() {
     assert_eq!(stated, "links do not touch each other: contacts between 3 shapes");
     let one_way = mjcf.replace("<geom size", "<geom conaffinity=\"0\" size");
     assert_eq!(left_out(&one_way, Some(false)), "");
+    let flags = "<option><flag refsafe=\"disable\" eulerdamp=\"enable\"/></option><worldbody>";
+    assert_eq!(
+        left_out(&mjcf.replace("<worldbody>", flags), None),
+        "the time constant of `solref` is at least two steps, as with the flag `refsafe`"
+    );
 }
