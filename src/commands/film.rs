@@ -157,7 +157,8 @@ mod tests {
             (4, None, 0.05, 4, &[1, 2, 3, 4]),
         ] {
             let arguments = arguments(frames, from_secs, every_secs);
-            assert_eq!(steps(&arguments, 0.05, length).unwrap(), expected);
+            let found = steps(&arguments, 0.05, length).unwrap();
+            assert_eq!(found, expected, "{frames} frames, every {every_secs} s, of {length}");
         }
         // 0.05 s is 6.25 steps of 8 ms.
         assert_eq!(steps(&arguments(3, Some(0.0), 0.05), 0.008, 1000).unwrap(), [0, 6, 13]);

@@ -308,7 +308,8 @@ mod tests {
             (&["algorithm=maddpg", "run.iterations=5"], 5, 2_500),
         ] {
             let config = RunConfig::with(settings).unwrap();
-            assert_eq!((config.iterations(), config.env_steps()), (iterations, env_steps));
+            let found = (config.iterations(), config.env_steps());
+            assert_eq!(found, (iterations, env_steps), "{settings:?}");
         }
     }
 

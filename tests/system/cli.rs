@@ -47,7 +47,8 @@ fn commands_that_read_runs_refuse_what_is_none() {
         ["eval", "record", "film", "plot", "inspect", "status", "serve", "watch", "train --resume"]
     {
         let words: Vec<&str> = reader.split(' ').collect();
-        assert!(refused(&[&words[..], &["no/such/run"]].concat()).contains("no/such/run"));
+        let line = refused(&[&words[..], &["no/such/run"]].concat());
+        assert!(line.contains("no/such/run"), "{reader}: {line}");
         let line = refused(&[&words[..], &[text(&empty)]].concat());
         assert!(line.contains("is no run folder: it has no config.toml"), "{reader}: {line}");
     }

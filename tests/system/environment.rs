@@ -161,6 +161,10 @@ fn an_invalid_description_and_an_invalid_answer_are_rejected_by_field() {
             Faults { answer: lie, ..Faults::NONE },
             "NOT_FINITE: steps.reward: element 0 is NaN (step",
         ),
+        (
+            Faults { answer: one_observation, ..Faults::NONE },
+            "view.observations: 1 entries, expected 2 (after a reset)",
+        ),
     ] {
         let runs = Runs::new();
         let folder = runs.folder("refused");
@@ -172,6 +176,12 @@ fn an_invalid_description_and_an_invalid_answer_are_rejected_by_field() {
 fn lie(answer: &mut Answer) {
     if let Answer::Steps(steps) = answer {
         steps.reward.as_mut().unwrap().data = f32::NAN.to_le_bytes().repeat(2).into();
+    }
+}
+
+fn one_observation(answer: &mut Answer) {
+    if let Answer::View(view) = answer {
+        view.observations.pop();
     }
 }
 

@@ -44,8 +44,10 @@ impl Page {
             let (code, ..) = self.ask(&format!("{request}\r\nHost: localhost\r\n\r\n"));
             assert_eq!(code, *expected, "{request}");
         }
-        let (code, ..) = self.ask("GET / HTTP/1.1\r\nHost: example.org\r\n\r\n");
-        assert_eq!(code, 403);
+        for path in ["/", "/api/curves"] {
+            let (code, ..) = self.ask(&format!("GET {path} HTTP/1.1\r\nHost: example.org\r\n\r\n"));
+            assert_eq!(code, 403, "{path}");
+        }
     }
 
     /// The headers and the body of the page.

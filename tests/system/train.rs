@@ -94,4 +94,6 @@ fn a_runs_sampled_evaluation_is_that_of_eval_with_its_seed_and_changes_no_weight
     let measured = evaluated(text(&sampled), &["--episodes", "1", "--sampled", "7"]);
     assert_eq!(last_evaluation(&sampled), (2.into(), measured["return_mean"].clone()));
     assert_ne!(last_evaluation(&mean).1, last_evaluation(&sampled).1);
+    let other = evaluated(text(&sampled), &["--episodes", "1", "--sampled", "8"]);
+    assert_ne!(other["return_mean"], measured["return_mean"], "two sampling seeds");
 }

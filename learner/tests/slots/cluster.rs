@@ -8,11 +8,12 @@ use learner::lease::slots::{
     ConnectionId, Effect, Offer, ResultPart, SlotRollout, SlotTable, Trust,
 };
 use proto::{
-    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, ProcessId, PushHeader, Reason,
-    Refusal, Work,
+    ActorId, EvaluationResult, Heartbeat, Incarnation, Lease, PushHeader, Reason, Refusal, Work,
 };
 
-use crate::events::{ACTORS, LeaseKey, MOST_IN_FLIGHT, Message, Packet, SimulatedEvent, key};
+use crate::events::{
+    ACTORS, LeaseKey, MOST_IN_FLIGHT, Message, Packet, SimulatedEvent, key, process_of,
+};
 use crate::table::{CHUNKS, TTL, chunk, half_audited, honest, weights, works};
 
 const SLOTS: u32 = 3;
@@ -51,11 +52,6 @@ pub(crate) struct Cluster {
     accepted: BTreeMap<(u64, u32), usize>,
 }
 
-/// The first two actors are connections of one process. The third names its process, and the last one does not.
-fn process_of(actor: usize) -> Option<ProcessId> {
-    [Some(ProcessId([1; 16])), Some(ProcessId([1; 16])), Some(ProcessId([2; 16])), None][actor]
-}
-
 impl Cluster {
     pub(crate) fn new() -> Self {
         let mut cluster = Self {
@@ -91,6 +87,12 @@ impl Cluster {
             }
             SimulatedEvent::Lose(at) if at < self.network.len() => drop(self.network.remove(at)),
             SimulatedEvent::Lose(_) => {}
+            SimulatedEvent::Refuse(index) => {
+                let own = &self.actors[index];
+                if let (Some(connection), Some(work)) = (own.connection, &own.work) {
+                    self.table.refuse(connection, Some(work.lease.id));
+                }
+            }
             SimulatedEvent::Kill(index) => self.kill(index),
             SimulatedEvent::Freeze(index) => self.actors[index].frozen = true,
             SimulatedEvent::Thaw(index) => self.actors[index].frozen = false,

@@ -1,12 +1,17 @@
 //! Events and messages of a simulated cluster.
 
 use learner::lease::slots::{ConnectionId, Offer};
-use proto::{ActorId, Heartbeat, Incarnation, Lease, LeaseId};
+use proto::{ActorId, Heartbeat, Incarnation, Lease, LeaseId, ProcessId};
 
 /// Number of actors.
 pub(crate) const ACTORS: usize = 4;
 /// Most messages in transit; further ones are lost.
 pub(crate) const MOST_IN_FLIGHT: usize = 48;
+
+/// The first two actors are connections of one process. The third names its process, and the last one does not.
+pub(crate) fn process_of(actor: usize) -> Option<ProcessId> {
+    [Some(ProcessId([1; 16])), Some(ProcessId([1; 16])), Some(ProcessId([2; 16])), None][actor]
+}
 
 /// An event. Numbers are indices of actors or of messages in transit.
 #[derive(Clone, Debug)]
@@ -21,6 +26,8 @@ pub(crate) enum SimulatedEvent {
     ArriveTwice(usize),
     /// A message is lost.
     Lose(usize),
+    /// A message of an actor about its lease is refused.
+    Refuse(usize),
     /// An actor is killed; its messages may still arrive.
     Kill(usize),
     /// An actor freezes; its connection stays open.

@@ -1,6 +1,6 @@
 //! Granting, renewal and expiry of leases.
 
-use learner::lease::slots::{ConnectionId, Effect, Offer};
+use learner::lease::slots::{ConnectionId, Effect, Incident, Offer};
 use proto::{ActorId, Heartbeat, Incarnation, Reason, Work};
 
 use crate::table::{
@@ -62,10 +62,11 @@ fn heartbeats_extend_a_lease_only_for_a_limited_time() {
         let lease = lease(&mut table, a);
         for step in 1..times * 20 / 15 {
             table.tick(second(15 * u64::from(step)));
-            assert!(beat(&mut table, a, &lease, step), "{step}");
+            assert!(beat(&mut table, a, &lease, step), "{times} times to live, step {step}");
         }
         table.tick(times * TTL);
-        assert!(!beat(&mut table, a, &lease, 50));
+        let last = beat(&mut table, a, &lease, times * 20 / 15 + 1);
+        assert!(!last, "{times} times to live");
     }
 }
 
@@ -86,6 +87,10 @@ fn a_closed_connection_frees_its_leases_at_once() {
     let (a, b) = (actor(&mut table, 1), actor(&mut table, 2));
     let gone = [lease(&mut table, a), lease(&mut table, a)];
     table.disconnect(ConnectionId(1));
+    let incidents = table.incidents();
+    let [Incident::Gone { actor, leases }] = &incidents[..] else { panic!("{incidents:?}") };
+    let ended = leases.iter().map(|lease| lease.lease).collect::<Vec<_>>();
+    assert_eq!((*actor, ended), (a.id, gone.iter().map(|lease| lease.id).collect::<Vec<_>>()));
     assert_eq!((slot(&lease(&mut table, b)), table.counts().actors), (0, 1));
     assert_eq!(push(&mut table, &gone[0], 0).unwrap_err().reason, Reason::UnknownLease);
     assert_eq!(a.ask(&mut table).unwrap_err().reason, Reason::UnknownActor);

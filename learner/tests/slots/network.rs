@@ -17,6 +17,7 @@ fn event() -> impl Strategy<Value = SimulatedEvent> {
         36 => message().prop_map(SimulatedEvent::Arrive),
         4 => message().prop_map(SimulatedEvent::ArriveTwice),
         2 => message().prop_map(SimulatedEvent::Lose),
+        1 => actor().prop_map(SimulatedEvent::Refuse),
         1 => actor().prop_map(SimulatedEvent::Kill),
         1 => actor().prop_map(SimulatedEvent::Freeze),
         2 => actor().prop_map(SimulatedEvent::Thaw),

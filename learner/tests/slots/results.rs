@@ -40,7 +40,8 @@ fn chunks_out_of_order_or_with_other_content_or_weights_are_refused() {
     let mut table = table(1);
     let a = actor(&mut table, 1);
     let mut lease = lease(&mut table, a);
-    assert_eq!(push(&mut table, &lease, 1).unwrap_err().reason, Reason::OutOfOrder);
+    let refusal = push(&mut table, &lease, 1).unwrap_err();
+    assert_eq!((refusal.reason, refusal.field.as_str()), (Reason::OutOfOrder, "chunk.sequence"));
     push(&mut table, &lease, 0).unwrap();
     assert_eq!(push_as(&mut table, &lease, 0, OTHER).unwrap_err().reason, Reason::DigestConflict);
     for version in [2, 4, 1003] {

@@ -146,12 +146,17 @@ fn every_density_gives_the_same_bits_on_one_two_and_three_threads() {
 }
 
 #[test]
-fn constant_features_are_left_out() {
+fn constant_features_are_left_out_and_equal_rows_have_finite_scores() {
     let data: Vec<f32> = normals(300).into_iter().flat_map(|z| [z, 2.0]).collect();
     for kind in KINDS {
         let mut masked = density(kind, 2);
         let found = fit(masked.as_mut(), &data, 2, 0);
         assert_eq!(masked.features(), (1, 1));
         assert!(found.iter().all(|l| l.is_finite()), "{kind:?} {found:?}");
+        let same = [0.5, -0.5].repeat(50);
+        for rows in [&same[..], &same[..2]] {
+            let found = fit(density(kind, 2).as_mut(), rows, 2, 0);
+            assert!(found.iter().all(|score| score.is_finite()), "{kind:?} {found:?}");
+        }
     }
 }

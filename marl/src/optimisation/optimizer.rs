@@ -201,4 +201,14 @@ mod tests {
             assert!(error.to_string().contains(expected), "{error}");
         }
     }
+
+    #[test]
+    fn a_step_with_a_nan_gradient_is_skipped_and_counted() {
+        let parameters = zeros();
+        let mut adam = Adam::new(CONFIG, &parameters);
+        let norm = adam.step(&parameters, &Gradients(vec![vec![1.0], vec![f32::NAN]])).unwrap();
+        assert!(norm.is_nan() && adam.skipped == 1 && adam.steps == 0);
+        assert_eq!(adam.first, [[0.0], [0.0]]);
+        assert_eq!(parameters.values().unwrap(), [[0.0], [0.0]]);
+    }
 }

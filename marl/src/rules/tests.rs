@@ -275,7 +275,7 @@ fn nan_is_rejected_by_name_and_nothing_changes() {
         (batch.agents[1].action[3], rewards[1][3]) = (action, reward);
         let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
         assert_eq!(error, expected);
-        assert_eq!(algorithm.arrays().unwrap(), before);
+        assert_eq!(algorithm.arrays().unwrap(), before, "{rule:?}");
     }
 }
 

@@ -5,7 +5,7 @@ use policy::{PolicySnapshot, standard_normal};
 use rand::RngCore;
 
 use crate::harness::{TwoAgentGame, evaluate, mean_return, train};
-use crate::settings::{happo_with_one_network, maddpg, on_policy};
+use crate::settings::{happo_with_one_network, happo_with_recurrent_critics, maddpg, on_policy};
 
 const CHOICES: usize = 3;
 
@@ -136,4 +136,13 @@ fn agents_that_update_one_network_in_turn_learn_a_sum_that_none_controls_alone()
         train::<Sum>(&happo_with_one_network(), 100).map(|policies| mean_reward::<Sum>(&policies));
     // Means of zero leave an error of x, whose variance is .25.
     assert!(before < 0.8 && after > 0.9, "{before} {after}");
+}
+
+#[test]
+fn agents_with_recurrent_critics_learn_a_sum_that_none_controls_alone() {
+    for settings in happo_with_recurrent_critics() {
+        let [before, after] =
+            train::<Sum>(&settings, 100).map(|policies| mean_reward::<Sum>(&policies));
+        assert!(before < 0.8 && after > 0.9, "{}: {before} {after}", settings.name);
+    }
 }

@@ -1,7 +1,7 @@
 //! The learning rules under test, and sizes with which a small task is learnt in a second.
 
 use marl::TrainingConfig;
-use marl::config::{Rule, Sharing};
+use marl::config::{CriticCore, Rule, Sharing};
 use policy::{CoreKind, PolicyConfig};
 
 use crate::fixture;
@@ -29,6 +29,16 @@ pub(crate) fn on_policy() -> Vec<Settings> {
 /// HAPPO in which all agents update one network in turn.
 pub(crate) fn happo_with_one_network() -> Settings {
     settings(("HAPPO, one network", Rule::Happo, Sharing::Shared, [0.0; 3]), CoreKind::Mlp)
+}
+
+/// HAPPO with a recurrent critic; with surprise, the critic has a value for each agent.
+pub(crate) fn happo_with_recurrent_critics() -> [Settings; 2] {
+    [("a value", 0.0), ("a value each", 0.01)].map(|(name, alpha)| {
+        let mut found =
+            settings((name, Rule::Happo, Sharing::Separate, [0.0, alpha, 0.0]), CoreKind::Mlp);
+        found.config.critic.core = CriticCore::Gru;
+        found
+    })
 }
 
 fn settings(

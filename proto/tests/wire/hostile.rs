@@ -22,7 +22,9 @@ fn a_shape_that_overflows_or_has_four_mebibytes_is_refused_without_an_allocation
         assert_refused(with_state(shape, Bytes::new()), BadShape, "chunk.state");
     }
     let large = with_state(&[1 << 20], vec![0; MAX_MESSAGE_BYTES].into());
-    assert_refused(large, BadShape, "chunk.state");
+    let refusal = large.unwrap_err();
+    assert!(refusal.detail.contains("[1048576], expected [2, 2, 4]"), "{refusal}");
+    assert_refused(Err::<(), _>(refusal), BadShape, "chunk.state");
 }
 
 #[test]

@@ -90,6 +90,7 @@ fn numbers_that_no_update_survives_are_refused_by_name() {
             set(&mut c.agents[1].log_prob, f32::NEG_INFINITY);
         }),
         (0, BadValue, "agents[0].hidden", |c| set(&mut c.agents[0].hidden, 1e38)),
+        (0, NotFinite, "state", |c| set(&mut c.state, f32::INFINITY)),
         (0, BadValue, "reward", |c| set(&mut c.reward, -1e38)),
         (0, NotFinite, "finals.state", |c| set(&mut finals(c).state, f32::NAN)),
         (1, NotFinite, "end.recurrent[0]", |c| {

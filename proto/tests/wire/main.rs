@@ -46,6 +46,6 @@ fn honest_digest(message: &wire::TrajectoryChunk, run: &RunDescription) -> Diges
 
 #[track_caller]
 fn assert_refused<T: Debug>(result: Result<T, Refusal>, reason: Reason, field: &str) {
-    let refusal = result.unwrap_err();
+    let refusal = result.expect_err(field);
     assert_eq!((refusal.reason, refusal.field.as_str()), (reason, field), "{refusal}");
 }

@@ -59,11 +59,11 @@ fn a_slot_is_repeatable_in_used_and_new_environments() {
     for task in tasks() {
         let mut used = open(&task);
         let first = roll_in(used.as_mut(), &task, &fresh_work());
-        assert_eq!(roll_in(used.as_mut(), &task, &fresh_work()), first);
-        assert_eq!(roll(&task, &fresh_work()), first);
+        assert_eq!(roll_in(used.as_mut(), &task, &fresh_work()), first, "{}", task.task);
+        assert_eq!(roll(&task, &fresh_work()), first, "{}", task.task);
         let next = roll_in(used.as_mut(), &task, &next_work(&first));
-        assert_eq!(roll(&task, &next_work(&first)), next);
-        assert_ne!(next[0].agents[0].action, first[0].agents[0].action);
+        assert_eq!(roll(&task, &next_work(&first)), next, "{}", task.task);
+        assert_ne!(next[0].agents[0].action, first[0].agents[0].action, "{}", task.task);
     }
 }
 
@@ -72,13 +72,14 @@ fn the_chunks_of_a_slot_are_complete_and_survive_the_protocol() {
     for task in tasks() {
         let run = run_of(&task);
         let origin = fresh_work().origin();
-        assert_eq!(run.validate(), Ok(()));
+        assert_eq!(run.validate(), Ok(()), "{}", task.task);
         let chunks = roll(&task, &fresh_work());
-        assert_eq!(chunks.len() as u32, STEPS / CHUNK);
+        assert_eq!(chunks.len() as u32, STEPS / CHUNK, "{}", task.task);
         for chunk in chunks {
             let (message, digest) = chunk.to_wire(&run, &origin);
-            assert_eq!(digest, chunk.digest(&origin));
-            assert_eq!(TrajectoryChunk::from_wire(&message, &run, &origin, digest), Ok(chunk));
+            assert_eq!(digest, chunk.digest(&origin), "{}", task.task);
+            let read = TrajectoryChunk::from_wire(&message, &run, &origin, digest);
+            assert_eq!(read, Ok(chunk), "{}", task.task);
         }
     }
 }

@@ -118,6 +118,7 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
         assert_eq!(refusal(settings), line);
     }
     assert!(refusal(&["algorithm=ppo"]).starts_with("command line: unknown algorithm `ppo`"));
+    assert!(refusal(&["algorithm=happ"]).contains("did you mean `happo`?"));
 }
 
 #[test]
@@ -196,6 +197,8 @@ fn a_preset_stands_above_the_task_and_below_the_algorithm() {
     assert_eq!(origin_of(&harl, "update.entropy"), "configs/algorithms/happo-s2mia.toml");
     let maddpg = ["walker2d-2x3", "preset=harl", "algorithm=maddpg"];
     assert_eq!(origin_of(&maddpg, "environments.count"), "configs/algorithms/maddpg.toml");
+    let sizes = ["environments.count", "environments.per_slot", "environments.steps"];
+    assert_eq!(sizes.map(|key| shown(&["algorithm=maddpg"], key)), ["10", "0", "50"]);
 }
 
 #[test]

@@ -129,3 +129,30 @@ async fn refused_messages_are_logged_and_their_actor_is_quarantined() {
     }
     logged(&learner, &["WARN", &who, "is in quarantine", "it gets no work for 20.0 s"]);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_expired_lease_is_logged() {
+    let runs = Runs::new();
+    let learner = learner(&runs.folder("run"), &["lease.ttl_secs=0.4"]);
+    let mut attacker = Attacker::connect(&learner.url).await;
+    let (actor, lease) = (attacker.own.actor, attacker.lease().await.id);
+    let _other_slot = attacker.lease().await;
+    // No slot is free until the first lease has expired.
+    let again = attacker.lease().await;
+    assert_ne!(again.id, lease);
+    let who = format!("actor {actor} (attacker) got nothing done for ");
+    let what = format!("at slot 0 (lease {lease}) after 0 chunks; the lease ends");
+    logged(&learner, &["WARN", &who, &what, "its work is free again"]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_actor_lost_during_a_slot_is_logged_with_the_slot() {
+    let runs = Runs::new();
+    let learner = learner(&runs.folder("run"), &[]);
+    let mut attacker = Attacker::connect(&learner.url).await;
+    let (actor, lease) = (attacker.own.actor, attacker.lease().await.id);
+    drop(attacker);
+    let who = format!("actor {actor} (attacker) is gone");
+    let what = format!("at slot 0 (lease {lease}) after 0 chunks");
+    logged(&learner, &["WARN", &who, &what, "its work is free again"]);
+}

@@ -208,6 +208,22 @@ mod tests {
                  its work is free again, from the first step",
             ),
             (
+                Incident::Expired(slot),
+                "got nothing done for 20.0 s, at slot 5 (lease 7) after 2 chunks; the lease ends, its work is free \
+                 again, from the first step",
+            ),
+            (
+                Incident::Expired(LeaseStatus { chunks: 0, ..slot }),
+                "got nothing done for 20.0 s, at slot 5 (lease 7) after 0 chunks; the lease ends, its work is free \
+                 again, from the first step; if its environments are this slow, lower environments.message_steps in \
+                 a new run or raise lease.ttl_secs",
+            ),
+            (
+                Incident::Quarantined { actor: OWN, pause: std::time::Duration::from_secs(40) },
+                "is in quarantine: too many of its messages in a row were refused or of its leases expired; it gets \
+                 no work for 40.0 s",
+            ),
+            (
                 returned,
                 "returned its lease, at slot 5 (lease 7) after 2 chunks: no state; its work is free \
                  again, from the first step; the start states are from actor 9 (rogue), the checkpoint",

@@ -4,6 +4,7 @@ use policy::Head;
 
 use super::*;
 use crate::config::{CriticCore, StateNorm};
+use crate::data::batch::Final;
 
 const HAPPO: (Rule, Sharing) = RULES[0];
 const HAPPO_SHARED: (Rule, Sharing) = (Rule::Happo, Sharing::Shared);
@@ -11,9 +12,18 @@ const MAPPO: (Rule, Sharing) = RULES[1];
 const MAPPO_SHARED: (Rule, Sharing) = RULES[2];
 const ON_POLICY: [(Rule, Sharing); 4] = [HAPPO, HAPPO_SHARED, MAPPO, MAPPO_SHARED];
 
-/// An update with the sample's data, in which no episode ends.
+/// An update with the sample's data, in which one episode terminates and another one is truncated inside a chunk.
 fn update(algorithm: &mut dyn Algorithm, config: &TrainingConfig, iteration: u64) -> Report {
-    let batch = batch_for(config);
+    let mut batch = batch_for(config);
+    // The sample has one final state for each environment, in their order.
+    let ends = [(3, 0), (12, 4)];
+    let finals =
+        ends.map(|(step, environment)| Final { step, ..batch.finals[environment].clone() });
+    let [terminated, truncated] =
+        ends.map(|(step, environment)| step * batch.environments + environment);
+    batch.terminated[terminated] = true;
+    batch.truncated[truncated] = true;
+    drop(batch.finals.splice(0..0, finals));
     algorithm.update(&batch, &plain(&batch), iteration).unwrap()
 }
 
@@ -113,10 +123,11 @@ fn weights_are_the_arrays_under_their_prefix_and_agents_with_shared_ones_act_equ
         update(algorithm.as_mut(), &config, 0);
         let mut arrays = algorithm.arrays().unwrap();
         arrays.retain(|name, _| name.starts_with("weights/"));
-        assert_eq!(algorithm.weights().unwrap(), arrays);
+        assert_eq!(algorithm.weights().unwrap(), arrays, "{rule:?}");
         let shared = under(&arrays, "weights/shared.").count() > 0;
         let own = under(&arrays, "weights/agent_1.").count() > 0;
-        assert_eq!((shared, own), (rule.1 == Sharing::Shared, rule.1 == Sharing::Separate));
+        let expected = (rule.1 == Sharing::Shared, rule.1 == Sharing::Separate);
+        assert_eq!((shared, own), expected, "{rule:?}");
         let agents = algorithm.snapshot().unwrap().agents;
         assert_eq!(agents.len(), 2);
         assert_eq!(agents[0].arrays() == agents[1].arrays(), shared, "{rule:?}");
@@ -176,6 +187,19 @@ fn a_posterior_of_vanishing_weight_gives_the_actors_of_happo() {
     for name in under(&plain, "weights/agent_") {
         assert_eq!(plain[name], watched[name], "{name}");
     }
+}
+
+#[test]
+fn influence_raises_the_divergence_from_the_posteriors() {
+    let divergence = |lambda: f64| {
+        let mut config = config(HAPPO);
+        (config.influence.lambda, config.update.learning_rate) = (lambda, 3e-3);
+        let mut algorithm = algorithm(&config);
+        let reports = (0..5).map(|iteration| update(algorithm.as_mut(), &config, iteration));
+        named(&reports.last().unwrap(), "agent0/influence_kl")
+    };
+    let (pushed, left_alone) = (divergence(1.0), divergence(1e-9));
+    assert!(pushed > 1.3 * left_alone, "{pushed} {left_alone}");
 }
 
 #[test]

@@ -96,3 +96,17 @@ fn a_stored_replay_with_too_few_rows_is_rejected() {
     let error = state::restored(&arrays, |visitor| replay.visit(visitor)).unwrap_err();
     assert!(error.to_string().contains("1 replay/ends"), "{error}");
 }
+
+#[test]
+fn a_restored_replay_equals_the_stored_one() {
+    let mut kept = Replay::new(&problem(), 5);
+    kept.add(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
+    kept.add(&stretch(5, 3, &[])).unwrap();
+    let stored = |replay: &mut Replay| state::saved("", |visitor| replay.visit(visitor)).unwrap();
+    let mut restored = Replay::new(&problem(), 5);
+    state::restored(&stored(&mut kept), |visitor| restored.visit(visitor)).unwrap();
+    for replay in [&mut kept, &mut restored] {
+        replay.add(&stretch(8, 2, &[(0, TERMINATED)])).unwrap();
+    }
+    assert_eq!(stored(&mut kept), stored(&mut restored));
+}
