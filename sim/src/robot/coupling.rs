@@ -1,13 +1,16 @@
 //! Tendons and equality constraints: sums of the positions of several hinges that springs, limits, actuators and
 //! constraints act on.
 
+use std::sync::Arc;
+
 use rapier3d::math::Vector;
 
 use super::softness::Softness;
 
-/// A weighted sum of the positions of hinges, as their indices among all hinges and their coefficients.
+/// A weighted sum of the positions of hinges, as their indices among all hinges and their coefficients. All actuators and
+/// worlds share the terms.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Combination(pub(crate) Vec<(usize, f32)>);
+pub(crate) struct Combination(pub(crate) Arc<[(usize, f32)]>);
 
 /// MuJoCo's `fixed` tendon. Its length is 0 in the rest pose; lengths are in m or rad, forces in N or N m.
 #[derive(Clone, Debug)]
@@ -70,7 +73,7 @@ pub(crate) enum Coupled {
 impl Combination {
     /// The hinge alone.
     pub(crate) fn of_hinge(hinge: usize) -> Self {
-        Self(vec![(hinge, 1.0)])
+        Self(Arc::new([(hinge, 1.0)]))
     }
 
     /// The sum, given the numbers of all hinges.
@@ -80,7 +83,7 @@ impl Combination {
 
     /// The hinge, if it is the only one and its coefficient is 1.
     pub(crate) fn only_hinge(&self) -> Option<usize> {
-        match self.0.as_slice() {
+        match &*self.0 {
             [(hinge, factor)] if *factor == 1.0 => Some(*hinge),
             _ => None,
         }

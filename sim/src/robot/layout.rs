@@ -138,7 +138,7 @@ impl Layout {
         }
         for tendon in &blueprint.tendons {
             let mut force = 0.0 * robot.generalized_velocity().clone_owned();
-            for (hinge, factor) in &tendon.moved.0 {
+            for (hinge, factor) in tendon.moved.0.iter() {
                 let hinge = &self.hinges[*hinge];
                 force[hinge.dof] += factor * hinge.plan.axis.sign;
             }

@@ -157,7 +157,7 @@ impl HingeDrives {
         let Self { motors, tendons, drives, .. } = self;
         for (motor, control) in motors {
             let Some(servo) = motor.servo else {
-                for (hinge, factor) in &motor.moved.0 {
+                for (hinge, factor) in motor.moved.0.iter() {
                     drives[*hinge].torque += factor * (motor.gear * *control);
                 }
                 continue;
@@ -171,7 +171,7 @@ impl HingeDrives {
             if let Some(hinge) = only {
                 drives[hinge].damping -= motor.gear * motor.gear * slope;
             }
-            for (hinge, factor) in &motor.moved.0 {
+            for (hinge, factor) in motor.moved.0.iter() {
                 drives[*hinge].torque += factor * (motor.gear * limited);
             }
         }
@@ -179,7 +179,7 @@ impl HingeDrives {
             let length = tendon.moved.sum(|hinge| drives[hinge].angle);
             let speed = tendon.moved.sum(|hinge| drives[hinge].speed);
             let force = tendon.passive_force(length, speed);
-            for (hinge, factor) in &tendon.moved.0 {
+            for (hinge, factor) in tendon.moved.0.iter() {
                 drives[*hinge].torque += factor * force;
             }
         }

@@ -73,48 +73,61 @@ fn fixed(
                 .refuse_for(name, format!("`{name}` of a tendon is not supported; remove it")));
         }
     }
-    let (mut terms, mut reference) = (Vec::new(), 0.0);
+    let (mut terms, mut reference, mut at_springs) = (Vec::new(), 0.0, 0.0);
     for part in &element.children {
         part.only(&[&["joint", "coef"]])?;
         let name = part.text("joint").ok_or_else(|| part.refuse("it must name a `joint`"))?;
         let (index, hinge) = joints::find(links, name).ok_or_else(|| {
             part.refuse(format!("no hinge or slide has the name `{name}`; state its name"))
         })?;
+        if terms.iter().any(|(other, _)| *other == index) {
+            return Err(part.refuse("its tendon has this joint twice; add the two `coef` up"));
+        }
         let factor = part.number("coef", 1.0)?;
         reference += factor * f64::from(hinge.reference);
+        at_springs += factor as f32 * hinge.spring_rest;
         terms.push((index, factor as f32));
     }
     if terms.is_empty() {
         return Err(tendon.refuse("it moves no joint; add a <joint> to it"));
     }
-    let lengths = |name: &str| -> Result<Option<[f32; 2]>, String> {
-        let numbers = tendon.list(name)?;
-        let ends = numbers.map(|numbers| [numbers[0], numbers[numbers.len() - 1]]);
-        Ok(ends.map(|ends| ends.map(|end| (end - reference) as f32)))
-    };
+    let length = |end: f64| (end - reference) as f32;
     let limited = tendon.flag("limited")?;
     let limited = limited.unwrap_or(context.options.autolimits && tendon.text("range").is_some())
         && context.options.has_limits;
-    let range = lengths("range")?.filter(|_| limited);
+    let range = tendon.numbers::<2>("range")?.filter(|_| limited).map(|ends| ends.map(length));
     if limited && range.is_none_or(|[low, high]| low >= high) {
         return Err(tendon.refuse_for("range", "`range` must have a lower and a higher end"));
     }
     let number = |name: &str| joints::not_negative(tendon, name);
-    // Without a length, or with -1, the spring is slack in the rest pose.
-    let is_stated = tendon.list("springlength")?.is_some_and(|numbers| numbers[0] != -1.0);
+    let slack = spring_length(tendon)?.map(|ends| ends.map(length));
     Ok(TendonPlan {
         name: tendon.text("name").unwrap_or_default().to_owned(),
-        moved: Combination(terms),
+        moved: Combination(terms.into()),
         reference: reference as f32,
         range,
         margin: number("margin")?,
         limit: joints::softness(tendon, ["solreflimit", "solimplimit"], context)?,
         stiffness: number("stiffness")?,
-        slack: lengths("springlength")?.filter(|_| is_stated).unwrap_or([0.0; 2]),
+        slack: slack.unwrap_or([at_springs; 2]),
         damping: number("damping")?,
         friction: if context.options.has_friction { number("frictionloss")? } else { 0.0 },
         friction_softness: joints::softness(tendon, ["solreffriction", "solimpfriction"], context)?,
     })
+}
+
+/// Lengths between which a tendon's spring is slack; `None` if it rests where the springs of its joints do.
+fn spring_length(tendon: &Element) -> Result<Option<[f64; 2]>, String> {
+    let ends = match tendon.list("springlength")?.as_deref() {
+        None => return Ok(None),
+        Some(&[length]) => [length; 2],
+        Some(&[low, high]) if low <= high => [low, high],
+        Some(_) => {
+            let reason = "`springlength` must be one length, or two that ascend";
+            return Err(tendon.refuse_for("springlength", reason));
+        }
+    };
+    Ok(Some(ends).filter(|ends| *ends != [-1.0; 2]))
 }
 
 /// Reads all active equalities of joints and tendons.

@@ -86,3 +86,24 @@ fn a_default_is_named_with_its_own_line_and_the_element_that_has_it() {
     assert!(text.contains(stiffness), "{text}");
     assert!(text.contains("line 3, <option>: viscosity=\"1\" is not supported; set 0"), "{text}");
 }
+
+/// In MuJoCo 4.0.0, `tendon_lengthspring` of these tendons is 0.523599 for the automatic length, less the 0.174533 of the
+/// rest pose here; two lengths are what they say.
+#[test]
+fn the_spring_of_a_tendon_rests_where_the_springs_of_its_joints_do_unless_lengths_are_stated() {
+    let joint = "<body pos=\"0 0 9\"><joint name=\"j\" ref=\"0.174533\" springref=\"0.523599\"/>\
+        <geom size=\"0.1\"/></body>";
+    let cases = [
+        ("", [0.349066; 2]),
+        ("springlength=\"-1\"", [0.349066; 2]),
+        ("springlength=\"-1 1\"", [-1.174533, 0.825467]),
+    ];
+    for (lengths, expected) in cases {
+        let tendon =
+            format!("<tendon><fixed {lengths}><joint joint=\"j\" coef=\"1\"/></fixed></tendon>");
+        let mjcf = document(joint, "").replace("</mujoco>", &format!("{tendon}</mujoco>"));
+        let found = robot(&mjcf).unwrap().blueprint().tendons[0].slack;
+        let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off < 1e-6, "{lengths}: {found:?}");
+    }
+}

@@ -193,3 +193,21 @@ fn refused_height_fields_and_pairs_are_named_with_what_to_do() {
         (pair("geom2=\"wall\" solreffriction=\"1 1\""), "the attribute `solreffriction`"),
     ]);
 }
+
+#[test]
+fn refused_tendons_are_named_with_what_to_do() {
+    assert_refused(&[
+        (
+            section("<tendon><fixed><joint joint=\"j\"/>\n<joint joint=\"j\"/></fixed></tendon>"),
+            "line 6, <joint joint=\"j\">: its tendon has this joint twice",
+        ),
+        (
+            section("<tendon><fixed springlength=\"2 1\"><joint joint=\"j\"/></fixed></tendon>"),
+            "<fixed>: `springlength` must be one length, or two that ascend",
+        ),
+        (
+            section("<tendon><fixed range=\"-1 5 1\"><joint joint=\"j\"/></fixed></tendon>"),
+            "`range` must have 2 numbers, it has 3",
+        ),
+    ]);
+}
