@@ -37,6 +37,7 @@ weight = 1.0
 # A line of the check: a link's name, mass and principal moments.
 LINK = r"^link +(\S+) +(\S+) kg, inertia (\S+) (\S+) (\S+) kg m\^2$"
 
+
 @pytest.fixture(params=["hopper", "humanoid", "arm"])
 def model(request, tmp_path):
     """A model in a folder of its own."""
