@@ -48,7 +48,7 @@ pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Re
         .iter()
         .map(|frame| drawing::capsules(robot, frame.pose, ViewDirection::Side))
         .collect();
-    let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.links[0].position[0]).collect();
+    let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.root().position[0]).collect();
     let pixels_per_metre = drawing::scale(&seen, &roots);
     let (mut sheet, mut captions) = sheet(frames.len(), robot.agents)?;
     for (index, frame) in frames.iter().enumerate() {
@@ -102,7 +102,7 @@ pub(crate) fn portrait(
     for [_, height] in capsules.iter_mut().flat_map(|capsule| &mut capsule.ends) {
         *height += lift;
     }
-    let middle = pose.links[0].position[0];
+    let middle = pose.root().position[0];
     let pixels_per_metre = drawing::scale(std::slice::from_ref(&capsules), &[middle]);
     let camera = Camera { middle, pixels_per_metre };
     let (mut sheet, mut captions) = sheet(1, robot.agents)?;
@@ -195,10 +195,9 @@ fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
 fn places(world: &dyn EnvironmentBatch, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let task = world.description();
     let pose = world.pose(0);
-    let links = &pose.links[pose.links.len() - anchors.len()..];
     let place = |name: &String| {
         let index = pose.joints.iter().position(|joint| joint.name == *name)?;
-        Some(links[index].in_world(anchors[index]))
+        Some(pose.links[pose.joints[index].link].in_world(anchors[index]))
     };
     task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect()
 }

@@ -231,7 +231,8 @@ impl EnvironmentBatch for RobotEnvironments {
 
     fn pose(&self, environment: usize) -> Pose {
         let world = &self.environments[environment].world;
-        Pose { links: world.link_poses(), joints: world.joint_poses() }
+        let root = self.robot.layout().root;
+        Pose { links: world.link_poses(), root, joints: world.joint_poses() }
     }
 
     fn world(&self, environment: usize) -> Option<&World> {

@@ -217,7 +217,7 @@ fn bounds<G: Game>() -> StateBounds {
         actions: 0,
         measurements: 0,
         has_draws: false,
-        orientation: None,
+        orientations: Vec::new(),
     }
 }
 

@@ -33,7 +33,7 @@ pub(crate) use blueprint::{
 };
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
-pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind};
+pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orientation};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;
 #[cfg(test)]
@@ -241,7 +241,7 @@ impl Robot {
             actions: 0,
             measurements: 0,
             has_draws: false,
-            orientation: self.layout.orientation,
+            orientations: self.layout.orientations.iter().map(|own| own.coordinate).collect(),
         }
     }
 

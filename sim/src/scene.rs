@@ -8,11 +8,13 @@ use rapier3d::math::Pose as Transform;
 /// Most capsules side by side in the drawing of a box.
 const MOST_BESIDE: f32 = 5.0;
 
-/// Pose of a robot at one time.
+/// Pose of all robots and objects of a world at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// Frames of all links in the world, from the root outwards.
+    /// Frames of all links in the world, each after its parent.
     pub links: Vec<LinkPose>,
+    /// Index of the robot's root among the links.
+    pub root: usize,
     /// All hinges.
     pub joints: Vec<JointPose>,
 }
@@ -33,6 +35,8 @@ pub struct LinkPose {
 pub struct JointPose {
     /// Name of the joint.
     pub name: String,
+    /// Index of the link that it moves.
+    pub link: usize,
     /// Radians; metres for a slide.
     pub position: f32,
     /// Radians per second; metres per second for a slide.
@@ -141,16 +145,28 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Agent that controls the joint of each link, or `None`. The root has no hinge and every other link has exactly one,
-/// so links and hinges are in the same order.
+/// Agent that controls the joint of each link, or `None`.
 #[must_use]
 pub fn drivers(description: &EnvironmentSpec, pose: &Pose) -> Vec<Option<usize>> {
     let driver = |joint: &str| {
         description.agents.iter().position(|agent| agent.joints.iter().any(|name| name == joint))
     };
-    let roots = pose.links.len() - pose.joints.len();
-    let hinged = pose.joints.iter().map(|joint| driver(&joint.name));
-    std::iter::repeat_n(None, roots).chain(hinged).collect()
+    let mut drivers = vec![None; pose.links.len()];
+    for joint in &pose.joints {
+        drivers[joint.link] = driver(&joint.name);
+    }
+    drivers
+}
+
+impl Pose {
+    /// Frame of the robot's root in the world.
+    ///
+    /// # Panics
+    /// If the pose has no links, which is that of a game.
+    #[must_use]
+    pub fn root(&self) -> &LinkPose {
+        &self.links[self.root]
+    }
 }
 
 impl Shape {

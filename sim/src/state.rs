@@ -71,8 +71,8 @@ pub struct StateBounds {
     pub measurements: usize,
     /// Whether the task draws a command or disturbances.
     pub has_draws: bool,
-    /// First coordinate of a unit quaternion, if the root is free.
-    pub orientation: Option<usize>,
+    /// First coordinate of each unit quaternion.
+    pub orientations: Vec<usize>,
 }
 
 impl State {
@@ -172,10 +172,11 @@ impl StateBounds {
         for (index, &value) in velocities.iter().enumerate() {
             check_number("velocity", index, value, -self.fastest, self.fastest)?;
         }
-        let Some(index) = self.orientation else { return Ok(()) };
-        let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
-        if (squared - 1.0).abs() > 1e-3 {
-            return Err(StateError::Orientation { index, squared });
+        for &index in &self.orientations {
+            let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
+            if (squared - 1.0).abs() > 1e-3 {
+                return Err(StateError::Orientation { index, squared });
+            }
         }
         Ok(())
     }

@@ -7,6 +7,7 @@ mod definition;
 mod disturbance;
 mod names;
 mod rules;
+mod start;
 mod terms;
 
 use std::collections::BTreeSet;

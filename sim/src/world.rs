@@ -173,11 +173,12 @@ impl World {
         let mut velocities = vec![0.0; robot.velocity_names().len()];
         self.coordinates(&mut coordinates);
         self.velocities(&mut velocities);
-        let hinges = robot.layout().joints.iter();
+        let hinges = robot.layout().joints.iter().enumerate();
         hinges
-            .filter(|joint| matches!(joint.kind, MapKind::Hinge { .. }))
-            .map(|joint| JointPose {
+            .filter(|(_, joint)| matches!(joint.kind, MapKind::Hinge { .. }))
+            .map(|(link, joint)| JointPose {
                 name: robot.coordinate_names()[joint.coordinate].clone(),
+                link,
                 position: coordinates[joint.coordinate],
                 velocity: velocities[joint.velocity],
             })

@@ -123,7 +123,7 @@ impl Moment {
 
     /// Position of the root along x, metres.
     fn x(&self) -> f64 {
-        f64::from(self.pose.links[0].position[0])
+        f64::from(self.pose.root().position[0])
     }
 }
 
@@ -170,7 +170,7 @@ impl Measures {
 
 /// Whether the root's upper side points down.
 fn is_upside_down(pose: &Pose) -> bool {
-    sim::rotated(pose.links[0].quaternion, [0.0, 0.0, 1.0])[2] < 0.0
+    sim::rotated(pose.root().quaternion, [0.0, 0.0, 1.0])[2] < 0.0
 }
 
 /// Largest rise of energy in one step beyond the motors' work, joules.
@@ -199,7 +199,7 @@ mod tests {
 
     fn moment(x: f32, quaternion: [f32; 4], impulse: f32, lowest: f32) -> Moment {
         let root = LinkPose { name: "root".to_owned(), position: [x, 0.0, 1.0], quaternion };
-        let pose = Pose { links: vec![root], joints: Vec::new() };
+        let pose = Pose { links: vec![root], ..Pose::default() };
         Moment { pose, impulse, lowest, energy: f64::from(x), work: 0.75 }
     }
 

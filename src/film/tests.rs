@@ -28,10 +28,16 @@ fn two_legs() -> (RobotShapes, Pose) {
         position: [x, 0.0, z],
         quaternion: UPRIGHT,
     };
-    let joint = |name: &str| JointPose { name: name.to_owned(), position: 0.0, velocity: 0.0 };
+    let joint = |name: &str, link: usize| JointPose {
+        name: name.to_owned(),
+        link,
+        position: 0.0,
+        velocity: 0.0,
+    };
     let pose = Pose {
         links: vec![link("root", 7.0, 1.0), link("left", 6.5, 0.5), link("right", 7.5, 0.5)],
-        joints: vec![joint("hip_left"), joint("hip_right")],
+        root: 0,
+        joints: vec![joint("hip_left", 1), joint("hip_right", 2)],
     };
     (RobotShapes { shapes, drivers: vec![None, Some(0), Some(1)], agents: 2 }, pose)
 }

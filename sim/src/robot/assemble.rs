@@ -49,7 +49,7 @@ pub(super) fn assemble(blueprint: &Blueprint) -> Result<(Template, Layout), Stri
         shapes += link.shapes.len();
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
         if let Some(mut joint) = joint(link) {
-            joint.set_contacts_enabled(finds_links(blueprint));
+            joint.set_contacts_enabled(blueprint.finds_links());
             let inserted = world.multibody_joints.insert(parent, body, joint, true);
             inserted.ok_or_else(|| format!("{}: rapier rejects the joint", link.name))?;
         }
@@ -174,7 +174,7 @@ fn insert_link(
     for (index, plan) in (first_shape..).zip(&link.shapes) {
         let parts = contact_parts(blueprint, link, index, plan);
         let Some((friction, margin, hooks)) = parts else { continue };
-        let others = if finds_links(blueprint) { GROUND | ROBOT } else { GROUND };
+        let others = if blueprint.finds_links() { GROUND | ROBOT } else { GROUND };
         let collider = touching(collider(plan), friction, ROBOT, others)
             .user_data(ShapeTag { shape: index, body: plan.body }.encoded())
             .contact_skin(margin)
@@ -182,12 +182,6 @@ fn insert_link(
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
     }
     handle
-}
-
-/// Whether the engine looks for contacts between links.
-fn finds_links(blueprint: &Blueprint) -> bool {
-    blueprint.law == Law::Constraints
-        && (blueprint.contacts.links_touch || !blueprint.contacts.pairs.is_empty())
 }
 
 /// Friction and margin of a shape's collider, and the calls that its contacts need; `None` if it touches nothing.
@@ -308,7 +302,7 @@ fn update_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
 /// to zero, because rapier's default damping of angular freedoms is 0.1.
 fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &Layout) {
     let Some(robot) = world.multibody_joints.get_multibody_mut(layout.multibody) else { return };
-    robot.set_self_contacts_enabled(finds_links(blueprint));
+    robot.set_self_contacts_enabled(blueprint.finds_links());
     robot.damping_mut().fill(0.0);
     robot.armature_mut().fill(0.0);
     for (link, map) in blueprint.links.iter().zip(&layout.joints) {

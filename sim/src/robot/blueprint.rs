@@ -25,7 +25,7 @@ pub(crate) struct Blueprint {
     pub(crate) contacts: ContactRules,
     /// What enforces contacts and joint limits.
     pub(crate) law: Law,
-    /// Links, parents before children. The first is the root.
+    /// Links, parents before children. Each tree has a link without a parent, or whose parent is the base.
     pub(crate) links: Vec<LinkPlan>,
     /// Motors in the order of the model's actuators.
     pub(crate) motors: Vec<MotorPlan>,
@@ -58,9 +58,9 @@ pub(crate) struct Keyframe {
 #[derive(Debug)]
 pub(crate) struct LinkPlan {
     pub(crate) name: String,
-    /// Index of the parent link; `None` for the root.
+    /// Index of the parent link; `None` for the first of a tree.
     pub(crate) parent: Option<usize>,
-    /// Rest pose in the frame of the parent link, or in the world for the root.
+    /// Rest pose in the frame of the parent link, or in the world without one.
     pub(crate) rest: Pose,
     pub(crate) joint: JointPlan,
     pub(crate) mass: MassProperties,
@@ -265,6 +265,29 @@ impl Blueprint {
                 hinge.limit = hinge.limit.with(limits);
             }
         }
+    }
+
+    /// First link of the tree that a link belongs to. The base is a tree of its own.
+    pub(crate) fn tree_of(&self, link: usize) -> usize {
+        let parent = self.links[link].parent.filter(|parent| !self.links[*parent].is_base());
+        parent.map_or(link, |parent| self.tree_of(parent))
+    }
+
+    /// Whether more than one tree moves.
+    pub(crate) fn has_several_trees(&self) -> bool {
+        let moving = (0..self.links.len()).filter(|link| !self.links[*link].is_base());
+        moving.filter(|link| self.tree_of(*link) == *link).count() > 1
+    }
+
+    /// The robot's root: the first link of the first tree with a motor, or of the first tree.
+    pub(crate) fn root(&self) -> usize {
+        let driven = self.motors.iter().flat_map(|motor| motor.moved.0.iter());
+        let mut links = 0..self.links.len();
+        let link = match driven.map(|(hinge, _)| *hinge).min() {
+            Some(hinge) => links.filter(|link| self.links[*link].hinge().is_some()).nth(hinge),
+            None => links.find(|link| !self.links[*link].is_base()),
+        };
+        link.map_or(0, |link| self.tree_of(link))
     }
 
     /// All shapes of the links, in order.

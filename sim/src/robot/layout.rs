@@ -1,6 +1,7 @@
 //! Positions of a robot's coordinates and velocities in its multibody.
 
 use rapier3d::dynamics::Multibody;
+use rapier3d::math::Rotation;
 use rapier3d::prelude::*;
 
 use super::blueprint::{Blueprint, FreeJoint, Hinge, JointPlan, LinkPlan, Motion};
@@ -13,7 +14,7 @@ const FARTHEST: f32 = 1e5;
 /// Largest violation of a hinge's limits in a state, rad or m.
 const LIMIT_SLACK: f32 = 3.0;
 
-/// Layout of a robot's coordinates. The order is the model's: the root, then the hinges in the order of their bodies.
+/// Layout of a robot's coordinates. The order is the model's, that of the bodies.
 pub(crate) struct Layout {
     pub(crate) multibody: MultibodyIndex,
     /// Joints, one per link of the blueprint.
@@ -34,10 +35,29 @@ pub(crate) struct Layout {
     pub(crate) tendon_inverses: Vec<f64>,
     /// For each connection, the sum of the mean inverse masses of the mass centres of its bodies, in the rest pose, 1/kg.
     pub(crate) connection_inverses: Vec<f64>,
-    /// Dry friction of a free root, if it has any.
-    pub(crate) free_friction: Option<FreeFriction>,
-    /// First coordinate of the free root's quaternion (w x y z), if any.
-    pub(crate) orientation: Option<usize>,
+    /// Free joints with dry friction.
+    pub(crate) free_frictions: Vec<FreeFriction>,
+    /// Rotations of the free joints.
+    pub(crate) orientations: Vec<Orientation>,
+    /// Index of the robot's root among all links.
+    pub(crate) root: usize,
+}
+
+/// A unit quaternion (w x y z) among the coordinates.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Orientation {
+    /// Its first coordinate.
+    pub(crate) coordinate: usize,
+    /// The first of the three angular velocities, in the axes of the world.
+    pub(crate) velocity: usize,
+}
+
+impl Orientation {
+    /// The rotation at these coordinates `[nq]`.
+    pub(crate) fn rotation(self, coordinates: &[f32]) -> Rotation {
+        let [w, x, y, z] = std::array::from_fn(|k| coordinates[self.coordinate + k]);
+        Rotation::from_xyzw(x, y, z, w)
+    }
 }
 
 /// Joint of a link.
@@ -85,7 +105,7 @@ pub(crate) struct HingeMap {
     pub(crate) inverse_inertia: f32,
 }
 
-/// Dry friction of a free root.
+/// Dry friction of a free joint.
 #[derive(Clone, Debug)]
 pub(crate) struct FreeFriction {
     pub(crate) plan: FreeJoint,
@@ -108,6 +128,11 @@ impl HingeMap {
 }
 
 impl Layout {
+    /// Joint of the robot's root.
+    pub(crate) fn root_joint(&self) -> &JointMap {
+        &self.joints[self.root]
+    }
+
     /// First coordinate in a state of the hinge with this index.
     pub(crate) fn hinge_coordinate(&self, hinge: usize) -> usize {
         let hinges = self.joints.iter().filter(|joint| matches!(joint.kind, MapKind::Hinge { .. }));
@@ -133,7 +158,8 @@ impl Layout {
                 let mean = |first: usize| inverse_inertias.rows(joint.dof + first, 3).mean();
                 let inverses = [0, 3].map(|first| f64::from(mean(first)));
                 let (link, dof) = (index, joint.dof);
-                self.free_friction = Some(FreeFriction { plan: free.clone(), link, dof, inverses });
+                let plan = free.clone();
+                self.free_frictions.push(FreeFriction { plan, link, dof, inverses });
             }
         }
         for tendon in &blueprint.tendons {
@@ -186,7 +212,7 @@ impl Layout {
         let lost = || "the robot is not a multibody".to_owned();
         let joints = &world.multibody_joints;
         let multibody = joints.rigid_body_link(handles[0]).ok_or_else(lost)?.multibody;
-        let mut layout = Self::empty(multibody);
+        let mut layout = Self::empty(multibody, blueprint.root());
         let robot = joints.get_multibody(multibody).ok_or_else(lost)?;
         for (plan, &body) in blueprint.links.iter().zip(handles) {
             let link = joints.rigid_body_link(body).ok_or_else(lost)?.id;
@@ -196,7 +222,7 @@ impl Layout {
         Ok(layout)
     }
 
-    fn empty(multibody: MultibodyIndex) -> Self {
+    fn empty(multibody: MultibodyIndex, root: usize) -> Self {
         Self {
             multibody,
             joints: Vec::new(),
@@ -210,8 +236,9 @@ impl Layout {
             rest: Vec::new(),
             tendon_inverses: Vec::new(),
             connection_inverses: Vec::new(),
-            free_friction: None,
-            orientation: None,
+            free_frictions: Vec::new(),
+            orientations: Vec::new(),
+            root,
         }
     }
 
@@ -256,7 +283,8 @@ impl Layout {
         for (axis, rest) in ["x", "y", "z"].iter().zip(position) {
             self.add_number(format!("{name}.{axis}"), [-FARTHEST, FARTHEST], 0.0, rest);
         }
-        self.orientation = Some(self.coordinate_names.len());
+        let (coordinate, velocity) = (self.coordinate_names.len(), self.velocity_names.len() + 3);
+        self.orientations.push(Orientation { coordinate, velocity });
         let [x, y, z, w] = plan.rest.rotation.to_array();
         for (axis, rest) in ["qw", "qx", "qy", "qz"].iter().zip([w, x, y, z]) {
             self.add_number(format!("{name}.{axis}"), [-1.001, 1.001], 0.0, rest);

@@ -8,7 +8,7 @@ use super::definition::refused;
 use super::disturbance::ascending;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
-use crate::robot::{MapKind, Robot};
+use crate::robot::{JointMap, MapKind, Orientation, Robot};
 
 /// Largest target, m/s or rad/s.
 const FASTEST_COMMAND: f32 = 100.0;
@@ -48,11 +48,10 @@ pub(crate) struct CommandRanges {
 /// Coordinates and velocities that determine the motion of the root.
 #[derive(Clone, Copy, Debug)]
 enum RootMotion {
-    /// In the plane of x and z; the first velocity is that along x.
-    Planar,
-    /// Free; the value is the first coordinate of its quaternion (w x y z). The first velocities are three linear and three
-    /// angular ones.
-    Free(usize),
+    /// In the plane of x and z; the value is the index of its velocity along x.
+    Planar(usize),
+    /// Free, with this orientation.
+    Free(Orientation),
 }
 
 impl Heading {
@@ -78,16 +77,18 @@ impl CommandRanges {
             let bounds = [-FASTEST_COMMAND, FASTEST_COMMAND];
             ascending(&format!("command.{}", heading.word()), *range, bounds)?;
         }
-        let layout = robot.layout();
-        let root = match (layout.orientation, layout.joints.first().map(|joint| joint.kind)) {
-            (Some(quaternion), _) => RootMotion::Free(quaternion),
-            (None, Some(MapKind::Planar)) => RootMotion::Planar,
-            _ if components.is_empty() => RootMotion::Planar,
+        let JointMap { kind, coordinate, velocity, .. } = *robot.layout().root_joint();
+        let root = match kind {
+            MapKind::Free | MapKind::Floating => {
+                RootMotion::Free(Orientation { coordinate: coordinate + 3, velocity: velocity + 3 })
+            }
+            MapKind::Planar => RootMotion::Planar(velocity),
+            _ if components.is_empty() => RootMotion::Planar(velocity),
             _ => return Err(refused("[command] needs a robot with a free or planar root")),
         };
         let turns = components.iter().find(|(heading, _)| *heading != Heading::Forward);
         match (root, turns) {
-            (RootMotion::Planar, Some((heading, _))) => {
+            (RootMotion::Planar(_), Some((heading, _))) => {
                 let why = "needs a robot with a free joint; this one moves in a plane";
                 Err(refused(format!("command.{} {why}", heading.word())))
             }
@@ -137,12 +138,15 @@ impl CommandRanges {
     /// The robot's own velocity along a component, m/s or rad/s. Forward is the root's x axis projected onto the ground;
     /// a root whose x axis is vertical has no forward speed.
     pub(super) fn velocity(&self, heading: Heading, motion: &Motion<'_>) -> f32 {
-        let velocities = motion.velocities;
-        let RootMotion::Free(quaternion) = self.root else { return velocities[0] };
+        let Orientation { coordinate, velocity } = match self.root {
+            RootMotion::Planar(along) => return motion.velocities[along],
+            RootMotion::Free(orientation) => orientation,
+        };
+        let velocities = &motion.velocities[velocity - 3..];
         if heading == Heading::Yaw {
             return velocities[5];
         }
-        let [w, x, y, z] = std::array::from_fn(|k| motion.coordinates[quaternion + k]);
+        let [w, x, y, z] = std::array::from_fn(|k| motion.coordinates[coordinate + k]);
         let (ahead, aside) = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z));
         let length = (ahead * ahead + aside * aside).sqrt();
         if length == 0.0 {

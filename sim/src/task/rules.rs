@@ -1,38 +1,19 @@
-//! Start, reward, end and global state of an episode, as a task file defines them for its robot.
+//! Reward, end and global state of an episode, as a task file defines them for its robot.
 
 use proto::{FeatureRole, FeatureSpec};
 use rand::RngCore;
-use rapier3d::math::{Rotation, Vector};
+use rapier3d::math::Vector;
 
 use super::Motion;
 use super::command::CommandRanges;
-use super::definition::{Audience, Axes, HealthyRow, Noise, StartRow, TaskFile, refused, within};
+use super::definition::{Audience, Axes, HealthyRow, TaskFile, refused, within};
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
+use super::start::Start;
 use super::terms::{self, RootTilt, Transition, WeightedSum};
 use crate::error::SimError;
-use crate::robot::{Keyframe, Robot};
+use crate::robot::{Orientation, Robot};
 use crate::state::EpisodeDraws;
-
-/// Largest draw of the standard normal distribution in [`crate::noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
-const FARTHEST_NORMAL: f32 = 5.77;
-/// Largest noise of a quaternion's components. The noise of all four is shorter than the quaternion, which is 1 long.
-const LARGEST_TURN: f32 = 0.25;
-/// The same for the quaternion (1, 0, 0, 0), whose first component then stays positive.
-const LARGEST_TURN_FROM_REST: f32 = 0.5;
-
-/// The start of an episode, with names resolved to indices.
-#[derive(Clone, Debug, Default)]
-struct Start {
-    /// Coordinates that differ from the rest pose.
-    coordinates: Vec<(usize, f32)>,
-    /// Velocities that are not 0.
-    speeds: Vec<(usize, f32)>,
-    /// Controls of a keyframe, in the order of the model's actuators; empty without any.
-    controls: Vec<f32>,
-    positions: Option<Noise>,
-    velocities: Option<Noise>,
-}
 
 /// A number that ends an episode.
 #[derive(Clone, Copy, Debug)]
@@ -55,10 +36,8 @@ pub(crate) struct Rules {
     /// Coordinates in the global state.
     shown: Vec<usize>,
     largest_velocity: Option<f32>,
-    /// First coordinate of a free root's quaternion.
-    orientation: Option<usize>,
-    /// First velocity of the root's rotation, if it is expressed in the root's axes.
-    turning_in_body: Option<usize>,
+    /// Rotations of free joints whose velocities are expressed in the axes of their bodies.
+    turning_in_body: Vec<Orientation>,
     contact_forces: bool,
     command: CommandRanges,
     disturbance: DisturbanceRanges,
@@ -72,7 +51,6 @@ impl Rules {
     /// Resolves the rules of a task file for its robot.
     pub(super) fn new(file: &TaskFile, robot: &Robot) -> Result<Self, SimError> {
         let names = Names::coordinates(robot);
-        let orientation = robot.layout().orientation;
         let command = CommandRanges::new(&file.command, robot)?;
         let shown = shown(&file.state.hidden, names, robot)?;
         let measured = measured_features(&shown, robot);
@@ -80,21 +58,19 @@ impl Rules {
         let features: Vec<String> = measured.into_iter().map(|feature| feature.name).collect();
         let healthy = file.healthy.iter().map(|row| checked_healthy(row, robot, &features));
         let rules = Self {
-            start: checked_start(&file.start, names, robot)?,
+            start: Start::new(&file.start, names, robot)?,
             reward: WeightedSum::new("reward", &file.reward, robot, &command)?,
             cost: WeightedSum::new("cost", &file.cost, robot, &command)?,
             healthy: healthy.collect::<Result<_, _>>()?,
             shown,
             largest_velocity: file.state.largest_velocity,
-            orientation,
-            turning_in_body: match (file.state.angular_velocity, orientation) {
-                (Axes::World, _) => None,
-                // A free root's velocities are the first ones: three linear, three angular.
-                (Axes::Body, Some(_)) => Some(3),
-                (Axes::Body, None) => {
+            turning_in_body: match (file.state.angular_velocity, &robot.layout().orientations) {
+                (Axes::World, _) => Vec::new(),
+                (Axes::Body, orientations) if orientations.is_empty() => {
                     let why = "state.angular_velocity = \"body\" needs a robot with a free joint";
                     return Err(refused(why));
                 }
+                (Axes::Body, orientations) => orientations.clone(),
             },
             contact_forces: file.state.contact_forces,
             command,
@@ -121,30 +97,17 @@ impl Rules {
 
     /// The control of a motor in the keyframe of the start, if it has controls.
     pub(super) fn start_control(&self, motor: usize) -> Option<f32> {
-        self.start.controls.get(motor).copied()
+        self.start.control(motor)
     }
 
-    /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise. A
-    /// quaternion is normalised.
+    /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start.
     pub(crate) fn randomise(
         &self,
         rng: &mut impl RngCore,
         coordinates: &mut [f32],
         velocities: &mut [f32],
     ) {
-        self.start.apply(coordinates, velocities);
-        if let Some(distribution) = self.start.positions {
-            coordinates.iter_mut().for_each(|number| *number += distribution.draw(rng));
-        }
-        let moves = self.start.positions.is_some() || !self.start.coordinates.is_empty();
-        if let (true, Some(first)) = (moves, self.orientation) {
-            let quaternion = &mut coordinates[first..first + 4];
-            let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();
-            quaternion.iter_mut().for_each(|q| *q /= length);
-        }
-        if let Some(distribution) = self.start.velocities {
-            velocities.iter_mut().for_each(|number| *number += distribution.draw(rng));
-        }
+        self.start.randomise(rng, coordinates, velocities);
     }
 
     /// Reward of a step: the sum of the rewards minus the sum of the costs.
@@ -228,22 +191,14 @@ impl Rules {
         }
         let velocities = &mut rest[..motion.velocities.len()];
         velocities.copy_from_slice(motion.velocities);
-        if let (Some(first), Some(quaternion)) = (self.turning_in_body, self.orientation) {
-            let [w, x, y, z] = std::array::from_fn(|k| motion.coordinates[quaternion + k]);
-            let [a, b, c] = std::array::from_fn(|k| motion.velocities[first + k]);
-            let turning = Rotation::from_xyzw(x, y, z, w).inverse() * Vector::new(a, b, c);
-            velocities[first..first + 3].copy_from_slice(&turning.to_array());
+        for orientation in &self.turning_in_body {
+            let turning = &mut velocities[orientation.velocity..][..3];
+            let rotation = orientation.rotation(motion.coordinates);
+            turning.copy_from_slice(&(rotation.inverse() * Vector::from_slice(turning)).to_array());
         }
         if let Some(largest) = self.largest_velocity {
             velocities.iter_mut().for_each(|v| *v = v.clamp(-largest, largest));
         }
-    }
-}
-
-impl Start {
-    fn apply(&self, coordinates: &mut [f32], velocities: &mut [f32]) {
-        self.coordinates.iter().for_each(|(index, value)| coordinates[*index] = *value);
-        self.speeds.iter().for_each(|(index, value)| velocities[*index] = *value);
     }
 }
 
@@ -262,90 +217,6 @@ fn measured_features(shown: &[usize], robot: &Robot) -> Vec<FeatureSpec> {
     let positions = positions.map(|name| signal(format!("{name}.position")));
     let velocities = robot.velocity_names().iter();
     positions.chain(velocities.map(|name| signal(format!("{name}.velocity")))).collect()
-}
-
-/// Refuses a start that could leave the bounds of a state.
-fn checked_start(row: &StartRow, names: Names<'_>, robot: &Robot) -> Result<Start, SimError> {
-    let bounds = robot.state_bounds(1);
-    let mut start = match &row.keyframe {
-        Some(name) => start_of_keyframe(name, robot)?,
-        None => Start::default(),
-    };
-    (start.positions, start.velocities) = (row.positions, row.velocities);
-    for (name, value) in &row.coordinates {
-        let index = names.index("start.coordinates", name)?;
-        start.coordinates.push((index, value - robot.reference()[index]));
-    }
-    if let Some((index, speed)) =
-        start.speeds.iter().find(|(_, speed)| speed.abs() > bounds.fastest)
-    {
-        let name = &robot.velocity_names()[*index];
-        return Err(refused(format!("start.keyframe: the speed of `{name}` is {speed}")));
-    }
-    farthest("start.velocities", start.velocities, bounds.fastest)?;
-    let reach = farthest("start.positions", start.positions, bounds.fastest)?;
-    let mut pose = robot.rest().to_vec();
-    start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
-    let turn = bounds.orientation.map_or(0..0, |first| first..first + 4);
-    if !turn.is_empty() {
-        let place = "start.positions (largest noise of the root's quaternion)";
-        let turned = start.coordinates.iter().any(|(index, _)| turn.contains(index));
-        within(place, reach, 0.0, if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST })?;
-        let length = pose[turn.clone()].iter().map(|q| q * q).sum::<f32>().sqrt();
-        within("start.coordinates (length of the root's quaternion)", length, 0.99, 1.01)?;
-    }
-    for (index, (value, [low, high])) in pose.iter().zip(&bounds.coordinates).enumerate() {
-        let is_within = value - reach >= *low && value + reach <= *high;
-        if !turn.contains(&index) && !is_within {
-            let name = &robot.coordinate_names()[index];
-            return Err(refused(format!("the start moves `{name}` out of {low}..={high}")));
-        }
-    }
-    Ok(start)
-}
-
-/// The start that a keyframe of the model states.
-fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
-    let keyframes = &robot.blueprint().keyframes;
-    let known: Vec<String> = keyframes.iter().map(|keyframe| keyframe.name.clone()).collect();
-    let index = Names::new("keyframe", &known).index("start.keyframe", name)?;
-    let Keyframe { positions, velocities, controls, .. } = &keyframes[index];
-    let motors = robot.blueprint().motors.len();
-    for (key, list, count) in [
-        ("qpos", positions, robot.rest().len()),
-        ("qvel", velocities, robot.velocity_names().len()),
-        ("ctrl", controls, motors),
-    ] {
-        let found = list.len();
-        if found != count && found != 0 {
-            let why = format!("`{key}` has {found} numbers, the robot has {count}");
-            return Err(refused(format!("start.keyframe: the {why}")));
-        }
-    }
-    let single = |list: &[f64]| list.iter().map(|number| *number as f32).collect::<Vec<_>>();
-    let mut speeds = single(velocities);
-    // MuJoCo has the angular velocity of a free root in the root's axes.
-    if let (Some(first), [.., _]) = (robot.layout().orientation, speeds.as_slice()) {
-        let [w, x, y, z] = std::array::from_fn(|k| {
-            positions.get(first + k).map_or(robot.rest()[first + k], |number| *number as f32)
-        });
-        let turning = Rotation::from_xyzw(x, y, z, w) * Vector::from_slice(&speeds[3..6]);
-        speeds[3..6].copy_from_slice(&turning.to_array());
-    }
-    let positions = single(positions).into_iter().zip(robot.reference()).map(|(at, by)| at - by);
-    Ok(Start {
-        coordinates: positions.enumerate().collect(),
-        speeds: speeds.into_iter().enumerate().collect(),
-        controls: single(controls),
-        ..Start::default()
-    })
-}
-
-/// The largest noise that a distribution draws.
-fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32, SimError> {
-    let factor = if matches!(distribution, Some(Noise::Normal(_))) { FARTHEST_NORMAL } else { 1.0 };
-    let size = distribution.map_or(0.0, Noise::size);
-    within(key, size, 0.0, fastest / FARTHEST_NORMAL).map(|()| size * factor)
 }
 
 /// Refuses a condition without bounds, or one that no value meets.

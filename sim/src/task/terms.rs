@@ -48,8 +48,8 @@ pub(super) enum RootTilt {
     Free(usize),
 }
 
-/// `(x' - x) / dt`: mean speed along a coordinate during the step, m/s or rad/s. Without a `coordinate`, the first one:
-/// the root's x.
+/// `(x' - x) / dt`: mean speed along a coordinate during the step, m/s or rad/s. Without a `coordinate`, the first one
+/// of the root: its x.
 pub(super) fn forward_speed(step: &Transition<'_>, coordinate: usize) -> f32 {
     (step.after.position(coordinate) - step.before.position(coordinate)) / step.dt_secs
 }
@@ -214,7 +214,9 @@ fn term(
     let missing = |key: &str| refused(format!("{place} needs the key `{key}`"));
     let coordinate = row.coordinate.as_ref().map(|name| names.index(place, name)).transpose()?;
     Ok(match row.term {
-        TermName::ForwardSpeed => Term::ForwardSpeed { coordinate: coordinate.unwrap_or(0) },
+        TermName::ForwardSpeed => Term::ForwardSpeed {
+            coordinate: coordinate.unwrap_or(robot.layout().root_joint().coordinate),
+        },
         TermName::Alive => Term::Alive,
         TermName::Control => Term::Control,
         TermName::TargetDistance => {
@@ -284,10 +286,12 @@ fn ascending(place: &str, range: [f32; 2]) -> Result<[f32; 2], SimError> {
 }
 
 pub(super) fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError> {
-    let layout = robot.layout();
-    match (layout.orientation, layout.joints.first().map(|joint| joint.kind)) {
-        (Some(quaternion), _) => Ok(RootTilt::Free(quaternion)),
-        (None, Some(MapKind::Planar)) => Ok(RootTilt::Planar(2)),
-        _ => Err(refused(format!("{place} needs a root that can tilt"))),
+    let root = robot.layout().root_joint();
+    match root.kind {
+        MapKind::Free | MapKind::Floating => Ok(RootTilt::Free(root.coordinate + 3)),
+        MapKind::Planar => Ok(RootTilt::Planar(root.coordinate + 2)),
+        MapKind::Fixed | MapKind::Hinge { .. } => {
+            Err(refused(format!("{place} needs a root that can tilt")))
+        }
     }
 }

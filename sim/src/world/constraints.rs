@@ -122,7 +122,7 @@ impl Constraints {
             add_dry_friction(&mut self.problem, &self.start.speeds, hinge, rule);
         }
         couplings::add(&mut self.problem, &self.start, robot, rule);
-        if let Some(free) = &layout.free_friction {
+        for free in &layout.free_frictions {
             add_free_friction(&mut self.problem, &self.start, free, rule);
         }
         self.touching.add(robot.blueprint(), physics, &self.start, &mut self.problem, rule);
@@ -199,7 +199,7 @@ fn add_dry_friction(problem: &mut ConstraintProblem, speeds: &[f64], hinge: &Hin
     problem.close(Kind::Bounded(f64::from(hinge.plan.friction)));
 }
 
-/// Adds the dry friction of a free root: along the axes of the world, and about those of the link.
+/// Adds the dry friction of a free joint: along the axes of the world, and about those of the link.
 fn add_free_friction(
     problem: &mut ConstraintProblem,
     start: &Motion,

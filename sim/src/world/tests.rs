@@ -9,6 +9,7 @@ mod one_document;
 mod other_roots;
 mod references;
 mod refused;
+mod trees;
 
 use std::sync::Arc;
 

@@ -64,7 +64,7 @@ pub(crate) struct ContactRules {
     pub(crate) pairs: Vec<PairPlan>,
     /// Bodies that do not touch, the one with the smaller index first.
     pub(crate) excluded: Vec<[usize; 2]>,
-    /// Whether links touch each other and the base.
+    /// Whether links of a tree touch each other and the base. Links of different trees always do.
     pub(crate) links_touch: bool,
 }
 
@@ -95,6 +95,7 @@ impl Blueprint {
             let bodies = [one.body.min(other.body), one.body.max(other.body)];
             a != b
                 && surfaces.is_some_and(|(one, other)| one.meets(&other))
+                && self.tree_of(*a) == self.tree_of(*b)
                 && self.parent_of(*a) != Some(*b)
                 && self.parent_of(*b) != Some(*a)
                 && !self.contacts.excluded.contains(&bodies)
@@ -120,6 +121,9 @@ impl Blueprint {
     /// Has the engine's solver enforce contacts and limits, which it cannot do for all models.
     pub(crate) fn use_engine(&mut self, compliance: f32) -> Result<(), String> {
         let reason = |why: &str| Err(format!("`physics.contact_compliance` {why}; remove it"));
+        if self.has_several_trees() {
+            return reason("needs a model with one tree of bodies");
+        }
         let is_plain = self.contacts.pairs.is_empty() && !self.contacts.links_touch;
         let grounds = self.grounds.as_slice();
         if !is_plain || !matches!(grounds, [] | [GroundPlan { form: GroundForm::Plane, .. }]) {
@@ -159,6 +163,14 @@ impl Blueprint {
         Ok(())
     }
 
+    /// Whether links can touch links: each other, or those of another tree.
+    pub(crate) fn finds_links(&self) -> bool {
+        self.law == Law::Constraints
+            && (self.contacts.links_touch
+                || !self.contacts.pairs.is_empty()
+                || self.has_several_trees())
+    }
+
     /// Contact of a shape with the fixed shape `ground`; `None` if MuJoCo computes none.
     pub(crate) fn contact(&self, shape: &ShapePlan, ground: &GroundPlan) -> Option<ContactPlan> {
         let surface = shape.surface.filter(|surface| surface.meets(&ground.surface))?;
@@ -171,7 +183,7 @@ impl Blueprint {
         let is_paired = self.contacts.pairs.iter().any(|pair| pair.shapes.contains(&index));
         let is_on_ground =
             self.grounds.iter().any(|ground| surface.meets(&ground.surface)) && !link.is_base();
-        is_paired || is_on_ground || (self.contacts.links_touch && surface.collides())
+        is_paired || is_on_ground || (self.finds_links() && surface.collides())
     }
 
     /// Contact of a shape with the first fixed shape, the only one in the engine's law.

@@ -61,8 +61,8 @@ pub(super) fn read<'a>(
         }
         links.homes.push(home);
     }
-    if context.blockers.is_empty() {
-        links.check_roots(bodies)?;
+    if context.blockers.is_empty() && links.plans.iter().all(LinkPlan::is_base) {
+        return Err("the model has no joints; a robot needs a body with a joint".to_owned());
     }
     Ok(links)
 }
@@ -180,37 +180,17 @@ impl<'a> Links<'a> {
         Ok(())
     }
 
-    /// A robot has one root that moves freely or in a plane, or joints between any links and the world.
-    fn check_roots(&self, bodies: &[Body]) -> Result<(), String> {
-        let roots = self.plans.iter().filter(|plan| plan.parent.is_none());
-        let roots = roots.filter(|plan| !plan.is_base()).count();
-        let moving =
-            |plan: &LinkPlan| matches!(plan.joint, JointPlan::Free(_) | JointPlan::Planar(_));
-        if self.plans.iter().all(LinkPlan::is_base) {
-            return Err("the model has no joints; a robot needs a body with a joint".to_owned());
-        }
-        if roots > 1
-            && let Some(index) = self.plans.iter().rposition(moving)
-        {
-            let body = self.bodies[index].unwrap_or(&bodies[0]);
-            let reason = format!(
-                "a model with a moving root must have one root, it has {roots}; remove the other bodies \
-                 with joints from the world"
-            );
-            return Err(body.element.refuse(reason));
-        }
-        Ok(())
-    }
-
     /// Sets the links' mass properties. `total` scales all masses and inertias to this sum.
     pub(super) fn masses_to_links(&mut self, total: Option<f64>) -> Result<(), String> {
         let sum: f64 = self.masses.iter().map(MassSum::mass).sum();
         let factor = total.map_or(1.0, |total| total / sum);
         let count = self.plans.len();
+        let roots = self.plans.iter().filter(|plan| plan.parent.is_none() && !plan.is_base());
+        let is_alone = count > 1 && roots.count() == 1;
         for (index, (link, mass)) in self.plans.iter_mut().zip(&self.masses).enumerate() {
             link.mass = mass.properties(factor);
             if let JointPlan::Free(joint) = &link.joint
-                && (count == 1 || link.mass.local_com.length() > LARGEST_OFFSET)
+                && (!is_alone || link.mass.local_com.length() > LARGEST_OFFSET)
             {
                 link.joint = JointPlan::Floating(joint.clone());
             }

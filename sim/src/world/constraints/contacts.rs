@@ -28,6 +28,8 @@ pub(super) struct Touching {
     rules: ContactRules,
     /// For each link, that of its body's parent; none on the world or the base.
     parents: Vec<Option<usize>>,
+    /// For each link, the first link of its tree.
+    trees: Vec<usize>,
     /// Factor of the model's friction.
     pub(super) friction: f64,
 }
@@ -108,6 +110,7 @@ impl Touching {
             normals: Vec::new(),
             rules: blueprint.contacts.clone(),
             parents: (0..blueprint.links.len()).map(|link| blueprint.parent_of(link)).collect(),
+            trees: (0..blueprint.links.len()).map(|link| blueprint.tree_of(link)).collect(),
             friction: 1.0,
         }
     }
@@ -130,7 +133,7 @@ impl Touching {
         let are_apart = match (first.kind, second.kind) {
             (TouchKind::Link(one), TouchKind::Link(other)) => {
                 let is_child = |child: usize, parent| self.parents[child] == Some(parent);
-                self.rules.links_touch
+                (self.rules.links_touch || self.trees[one] != self.trees[other])
                     && one != other
                     && !is_child(one, other)
                     && !is_child(other, one)

@@ -7,20 +7,21 @@ fn reference() -> serde_json::Value {
     serde_json::from_str(include_str!("../../../tests/data/mujoco-contacts.json")).unwrap()
 }
 
-fn numbers(value: &serde_json::Value) -> Vec<f32> {
+pub(super) fn numbers(value: &serde_json::Value) -> Vec<f32> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap() as f32).collect()
 }
 
 /// Largest difference of two motions' coordinates; a quaternion and its negative are the same rotation.
-fn difference(got: &[f32], expected: &[f32]) -> f32 {
-    let most = |sign: f32| {
-        let differences = got.iter().zip(expected).enumerate().map(|(index, (a, b))| {
-            let is_rotation = got.len() >= 7 && (3..7).contains(&index);
-            (a - if is_rotation { sign * b } else { *b }).abs()
-        });
-        differences.fold(0.0, f32::max)
+fn difference(world: &World, got: &[f32], expected: &[f32]) -> f32 {
+    let orientations = &world.robot().layout().orientations;
+    let sign = |index: usize| {
+        let turn =
+            orientations.iter().find(|own| (own.coordinate..own.coordinate + 4).contains(&index));
+        let product = |first: usize| (first..first + 4).map(|k| got[k] * expected[k]).sum::<f32>();
+        turn.map_or(1.0, |own| product(own.coordinate).signum())
     };
-    most(1.0).min(most(-1.0))
+    let differences = got.iter().zip(expected).enumerate();
+    differences.map(|(index, (a, b))| (a - sign(index) * b).abs()).fold(0.0, f32::max)
 }
 
 fn start(world: &mut World, speeds: &[f32]) {
@@ -29,34 +30,38 @@ fn start(world: &mut World, speeds: &[f32]) {
     world.rebuild(&at, &velocities);
 }
 
-#[test]
-fn contacts_limits_and_dry_friction_move_robots_as_in_mujoco() {
-    let reference = reference();
+/// Plays the models of a reference, whose coordinates differ by less than `most(name)`.
+pub(super) fn assert_moves_as_in_mujoco(reference: &serde_json::Value, most: impl Fn(&str) -> f32) {
     let steps = numbers(&reference["steps"]);
     for (name, model) in reference["models"].as_object().unwrap() {
         let mut world = world_of(model["mjcf"].as_str().unwrap());
         start(&mut world, &numbers(&model["speeds"]));
-        let most = match name.as_str() {
-            // MuJoCo's Runge-Kutta integrator computes the forces four times in a step.
-            name if name.contains("Runge-Kutta") => 2e-2,
-            // Both engines choose among many points.
-            "box on a height field" => 2e-2,
-            "ball on a height field" => 1e-3,
-            // Boxes and capsules turn by their contacts' last digits.
-            "box on a box" | "capsule on a box" => 5e-4,
-            "wheels that touch" => 2e-4,
-            name if name.contains("finger") => 1e-3,
-            _ => 5e-5,
-        };
+        let controls = model.get("controls").map(numbers).unwrap_or_default();
         let mut step = 0;
         for (last, expected) in steps.iter().zip(model["coordinates"].as_array().unwrap()) {
             while step < *last as u32 {
-                assert!(world.step(&[]), "{name}");
+                assert!(world.step(&controls), "{name}");
                 step += 1;
             }
             let (got, expected) = (motion(&world).0, numbers(expected));
-            let off = difference(&got, &expected);
-            assert!(off < most, "{name}, step {step}: {got:?} against {expected:?}");
+            let off = difference(&world, &got, &expected);
+            assert!(off < most(name), "{name}, step {step}, {off}: {got:?} against {expected:?}");
         }
     }
+}
+
+#[test]
+fn contacts_limits_and_dry_friction_move_robots_as_in_mujoco() {
+    assert_moves_as_in_mujoco(&reference(), |name| match name {
+        // MuJoCo's Runge-Kutta integrator computes the forces four times in a step.
+        name if name.contains("Runge-Kutta") => 2e-2,
+        // Both engines choose among many points.
+        "box on a height field" => 2e-2,
+        "ball on a height field" => 1e-3,
+        // Boxes and capsules turn by their contacts' last digits.
+        "box on a box" | "capsule on a box" => 5e-4,
+        "wheels that touch" => 2e-4,
+        name if name.contains("finger") => 1e-3,
+        _ => 5e-5,
+    });
 }

@@ -280,9 +280,8 @@ fn outermost_defaults_hold_for_shapes_without_a_class() {
 
 #[test]
 fn what_is_left_out_is_listed() {
-    let pair = "<body pos=\"0 0 1\"><joint/><geom size=\"0.1\"/><body pos=\"1 0 0\"><joint/><geom size=\"0.1\"/></body></body>";
-    let pair = format!("<body pos=\"0 0 3\"><joint name=\"k\"/><geom size=\"0.1\"/></body>{pair}");
-    let mjcf = document(&pair, "");
+    let chain = "<body pos=\"0 0 1\"><joint/><geom size=\"0.1\"/>".repeat(3) + &"</body>".repeat(3);
+    let mjcf = document(&chain, "");
     let left_out = |mjcf: &str, self_contacts| {
         let physics = Physics { self_contacts, ..Physics::default() };
         let robot = robot_with(mjcf, physics, &|path| Err(path.to_owned())).unwrap();
@@ -291,7 +290,15 @@ fn what_is_left_out_is_listed() {
     assert_eq!(left_out(&mjcf, None), "");
     // Those of a body and its child are not among them.
     let stated = left_out(&mjcf, Some(false));
-    assert_eq!(stated, "links do not touch each other: contacts between 3 shapes");
+    assert_eq!(stated, "links do not touch each other: contacts between 2 shapes");
+    // Links of different trees always touch.
+    assert_eq!(
+        left_out(
+            &document(&"<body pos=\"0 0 1\"><joint/><geom size=\"0.1\"/></body>".repeat(2), ""),
+            Some(false)
+        ),
+        ""
+    );
     let one_way = mjcf.replace("<geom size", "<geom conaffinity=\"0\" size");
     assert_eq!(left_out(&one_way, Some(false)), "");
     let flags = "<option><flag refsafe=\"disable\" eulerdamp=\"enable\"/></option><worldbody>";

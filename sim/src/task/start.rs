@@ -1,0 +1,155 @@
+//! The start of an episode: a pose or keyframe, and its noise.
+
+use rand::RngCore;
+use rapier3d::math::Vector;
+
+use super::definition::{Noise, StartRow, refused, within};
+use super::names::Names;
+use crate::error::SimError;
+use crate::robot::{Keyframe, Robot};
+
+/// Largest draw of the standard normal distribution in [`crate::noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
+const FARTHEST_NORMAL: f32 = 5.77;
+/// Largest noise of a quaternion's components. The noise of all four is shorter than the quaternion, which is 1 long.
+const LARGEST_TURN: f32 = 0.25;
+/// The same for the quaternion (1, 0, 0, 0), whose first component then stays positive.
+const LARGEST_TURN_FROM_REST: f32 = 0.5;
+
+/// The start of an episode, with names resolved to indices.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Start {
+    /// Coordinates that differ from the rest pose.
+    coordinates: Vec<(usize, f32)>,
+    /// Velocities that are not 0.
+    speeds: Vec<(usize, f32)>,
+    /// Controls of a keyframe, in the order of the model's actuators; empty without any.
+    controls: Vec<f32>,
+    /// First coordinate of each unit quaternion.
+    orientations: Vec<usize>,
+    positions: Option<Noise>,
+    velocities: Option<Noise>,
+}
+
+impl Start {
+    /// Resolves a row, and refuses a start that could leave the bounds of a state.
+    pub(super) fn new(row: &StartRow, names: Names<'_>, robot: &Robot) -> Result<Self, SimError> {
+        let bounds = robot.state_bounds(1);
+        let mut start = match &row.keyframe {
+            Some(name) => start_of_keyframe(name, robot)?,
+            None => Self::default(),
+        };
+        (start.positions, start.velocities) = (row.positions, row.velocities);
+        for (name, value) in &row.coordinates {
+            let index = names.index("start.coordinates", name)?;
+            start.coordinates.push((index, value - robot.reference()[index]));
+        }
+        if let Some((index, speed)) =
+            start.speeds.iter().find(|(_, speed)| speed.abs() > bounds.fastest)
+        {
+            let name = &robot.velocity_names()[*index];
+            return Err(refused(format!("start.keyframe: the speed of `{name}` is {speed}")));
+        }
+        farthest("start.velocities", start.velocities, bounds.fastest)?;
+        let reach = farthest("start.positions", start.positions, bounds.fastest)?;
+        let mut pose = robot.rest().to_vec();
+        start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
+        for first in &bounds.orientations {
+            let place = "start.positions (largest noise of a quaternion)";
+            let turn = *first..first + 4;
+            let turned = start.coordinates.iter().any(|(index, _)| turn.contains(index));
+            within(place, reach, 0.0, if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST })?;
+            let length = pose[turn].iter().map(|q| q * q).sum::<f32>().sqrt();
+            within("start.coordinates (length of a quaternion)", length, 0.99, 1.01)?;
+        }
+        let turns = |index: usize| {
+            bounds.orientations.iter().any(|first| (*first..first + 4).contains(&index))
+        };
+        for (index, (value, [low, high])) in pose.iter().zip(&bounds.coordinates).enumerate() {
+            let is_within = value - reach >= *low && value + reach <= *high;
+            if !turns(index) && !is_within {
+                let name = &robot.coordinate_names()[index];
+                return Err(refused(format!("the start moves `{name}` out of {low}..={high}")));
+            }
+        }
+        start.orientations.clone_from(&bounds.orientations);
+        Ok(start)
+    }
+
+    /// Sets what differs from the rest pose without motion.
+    pub(super) fn apply(&self, coordinates: &mut [f32], velocities: &mut [f32]) {
+        self.coordinates.iter().for_each(|(index, value)| coordinates[*index] = *value);
+        self.speeds.iter().for_each(|(index, value)| velocities[*index] = *value);
+    }
+
+    /// The control of a motor in the keyframe, if it has controls.
+    pub(super) fn control(&self, motor: usize) -> Option<f32> {
+        self.controls.get(motor).copied()
+    }
+
+    /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise.
+    /// Quaternions are normalised.
+    pub(super) fn randomise(
+        &self,
+        rng: &mut impl RngCore,
+        coordinates: &mut [f32],
+        velocities: &mut [f32],
+    ) {
+        self.apply(coordinates, velocities);
+        if let Some(distribution) = self.positions {
+            coordinates.iter_mut().for_each(|number| *number += distribution.draw(rng));
+        }
+        if self.positions.is_some() || !self.coordinates.is_empty() {
+            for first in &self.orientations {
+                let quaternion = &mut coordinates[*first..first + 4];
+                let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();
+                quaternion.iter_mut().for_each(|q| *q /= length);
+            }
+        }
+        if let Some(distribution) = self.velocities {
+            velocities.iter_mut().for_each(|number| *number += distribution.draw(rng));
+        }
+    }
+}
+
+/// The start that a keyframe of the model states.
+fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
+    let keyframes = &robot.blueprint().keyframes;
+    let known: Vec<String> = keyframes.iter().map(|keyframe| keyframe.name.clone()).collect();
+    let index = Names::new("keyframe", &known).index("start.keyframe", name)?;
+    let Keyframe { positions, velocities, controls, .. } = &keyframes[index];
+    let motors = robot.blueprint().motors.len();
+    for (key, list, count) in [
+        ("qpos", positions, robot.rest().len()),
+        ("qvel", velocities, robot.velocity_names().len()),
+        ("ctrl", controls, motors),
+    ] {
+        let found = list.len();
+        if found != count && found != 0 {
+            let why = format!("`{key}` has {found} numbers, the robot has {count}");
+            return Err(refused(format!("start.keyframe: the {why}")));
+        }
+    }
+    let single = |list: &[f64]| list.iter().map(|number| *number as f32).collect::<Vec<_>>();
+    let mut speeds = single(velocities);
+    let pose = if positions.is_empty() { robot.rest().to_vec() } else { single(positions) };
+    // MuJoCo has the angular velocity of a free joint in the axes of its body.
+    for orientation in robot.layout().orientations.iter().filter(|_| !velocities.is_empty()) {
+        let turning = &mut speeds[orientation.velocity..][..3];
+        let rotation = orientation.rotation(&pose);
+        turning.copy_from_slice(&(rotation * Vector::from_slice(turning)).to_array());
+    }
+    let positions = single(positions).into_iter().zip(robot.reference()).map(|(at, by)| at - by);
+    Ok(Start {
+        coordinates: positions.enumerate().collect(),
+        speeds: speeds.into_iter().enumerate().collect(),
+        controls: single(controls),
+        ..Start::default()
+    })
+}
+
+/// The largest noise that a distribution draws.
+fn farthest(key: &str, distribution: Option<Noise>, fastest: f32) -> Result<f32, SimError> {
+    let factor = if matches!(distribution, Some(Noise::Normal(_))) { FARTHEST_NORMAL } else { 1.0 };
+    let size = distribution.map_or(0.0, Noise::size);
+    within(key, size, 0.0, fastest / FARTHEST_NORMAL).map(|()| size * factor)
+}

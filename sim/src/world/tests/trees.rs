@@ -1,0 +1,104 @@
+//! Tests of worlds with several trees of bodies: robots and objects.
+
+use std::sync::Arc;
+
+use super::contacts::{assert_moves_as_in_mujoco, numbers};
+use super::{
+    LOPSIDED, World, assert_continues_bit_for_bit, document, motion, robot, robot_with, world_of,
+};
+use crate::robot::Physics;
+use crate::state::State;
+
+/// A ball that lies on a hinged plate, which is the robot, and a free box without a joint's name.
+const PLATE: &str = "<body name=\"ball\" pos=\"0 0 1.06\"><freejoint/><geom size=\"0.05\"/></body>\
+    <body name=\"plate\" pos=\"0 0 1\"><joint name=\"tilt\" axis=\"0 1 0\"/>\
+    <geom type=\"box\" size=\"0.2 0.2 0.01\"/></body>\
+    <body name=\"box\" pos=\"2 0 1\"><freejoint/><geom type=\"box\" size=\"0.1 0.1 0.1\"/></body>";
+const TILT: &str = "<motor joint=\"tilt\" ctrlrange=\"-1 1\"/>";
+
+/// Models with their motion in MuJoCo.
+fn reference() -> serde_json::Value {
+    serde_json::from_str(include_str!("../../../tests/data/mujoco-trees.json")).unwrap()
+}
+
+#[test]
+fn robots_and_objects_move_as_in_mujoco() {
+    assert_moves_as_in_mujoco(&reference(), |name| match name {
+        // Both engines choose among the points of two boxes.
+        "ball in a box on a table" => 2e-4,
+        "stack of three boxes" => 5e-4,
+        _ => 1e-5,
+    });
+}
+
+#[test]
+fn several_trees_continue_from_a_restored_motion_bit_for_bit() {
+    for model in reference()["models"].as_object().unwrap().values() {
+        let world = || world_of(model["mjcf"].as_str().unwrap());
+        let (at, speeds) = (world().robot().rest().to_vec(), numbers(&model["speeds"]));
+        let controls = numbers(&model["controls"]);
+        assert_continues_bit_for_bit([world(), world()], &at, &speeds, &controls);
+    }
+}
+
+#[test]
+fn coordinates_have_the_order_of_the_bodies_and_the_root_is_that_of_the_first_driven_tree() {
+    let robot = robot(&document(PLATE, TILT)).unwrap();
+    let names = robot.coordinate_names();
+    assert_eq!(
+        (names[0].as_str(), names[7].as_str(), names[8].as_str()),
+        ("ball.x", "tilt", "box.x")
+    );
+    assert_eq!(robot.rest()[..8], [0.0, 0.0, 1.06, 1.0, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!(robot.blueprint().links[robot.layout().root].name, "plate");
+}
+
+#[test]
+fn links_of_different_trees_touch_without_self_contacts() {
+    let physics = Physics { self_contacts: Some(false), ..Physics::default() };
+    let robot = robot_with(&document(PLATE, TILT), physics, &|path| Err(path.to_owned())).unwrap();
+    let mut world = World::new(Arc::new(robot));
+    for _ in 0..100 {
+        assert!(world.step(&[0.0]));
+    }
+    let height = motion(&world).0[2];
+    assert!((height - 1.06).abs() < 0.002, "the ball is at {height}");
+}
+
+#[test]
+fn a_state_with_a_second_quaternion_that_is_not_a_unit_is_refused() {
+    let robot = robot(&document(PLATE, TILT)).unwrap();
+    let bounds = robot.state_bounds(10);
+    let position = proto::EpisodePosition { episode: 0, step: 0, limit: 10 };
+    let mut state = State {
+        position,
+        coordinates: robot.rest().to_vec(),
+        velocities: vec![0.0; robot.velocity_names().len()],
+        actions: Vec::new(),
+        measurements: Vec::new(),
+        draws: None,
+    };
+    assert_eq!(State::from_bytes(&state.to_bytes(&bounds.kind), &bounds).unwrap(), state);
+    state.coordinates[11] = 0.9;
+    let error = State::from_bytes(&state.to_bytes(&bounds.kind), &bounds).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the orientation at coordinate 11 has squared length 0.80999994, not 1"
+    );
+}
+
+#[test]
+fn the_engines_solver_is_refused_for_several_trees() {
+    let physics = Physics { contact_compliance: Some(0.1), ..Physics::default() };
+    let mjcf = document(
+        &format!("{LOPSIDED}{LOPSIDED}").replace("name=\"root\"", "").replace("name=\"j\" ", ""),
+        "",
+    );
+    let refused = robot_with(&mjcf, physics, &|path| Err(path.to_owned())).err().unwrap();
+    assert!(
+        refused.contains(
+            "`physics.contact_compliance` needs a model with one tree of bodies; remove it"
+        ),
+        "{refused}"
+    );
+}
