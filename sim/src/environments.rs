@@ -301,6 +301,7 @@ impl RobotEnvironments {
         position.step = position.step.saturating_add(1);
         self.next.position = *position;
         environment.world.push(&environment.drawn.forces);
+        let mass_centre_before = self.rules.mass_centre(&environment.world);
         let whole = environment.world.step(&self.controls);
         environment.world.coordinates(&mut self.next.coordinates);
         environment.world.velocities(&mut self.next.velocities);
@@ -320,7 +321,7 @@ impl RobotEnvironments {
         self.next.draws = environment.now.draws;
         std::mem::swap(&mut environment.now, &mut self.next);
         self.update_state(index);
-        self.outcome(index)
+        self.outcome(index, mass_centre_before)
     }
 
     /// Computes the global state of `now`, of which features of contact forces stay 0, and what the agents observe of it.
@@ -336,7 +337,7 @@ impl RobotEnvironments {
     }
 
     /// Result of a valid step. `now` is the motion after the step, `next` the motion before it.
-    fn outcome(&self, index: usize) -> Outcome {
+    fn outcome(&self, index: usize, mass_centre_before: f32) -> Outcome {
         let environment = &self.environments[index];
         let [before, after] =
             [&self.next, &environment.now].map(|state| motion(&self.robot, state));
@@ -351,6 +352,7 @@ impl RobotEnvironments {
                 control,
                 last_control,
                 command: &environment.drawn.command,
+                mass_centre: [mass_centre_before, self.rules.mass_centre(&environment.world)],
                 dt_secs,
             }),
             terminated,

@@ -58,13 +58,15 @@ impl Motion<'_> {
 }
 
 /// Task files and models that are part of the program.
-const SHIPPED: [[&str; 2]; 6] = [
+const SHIPPED: [[&str; 2]; 8] = [
     [include_str!("../assets/halfcheetah.toml"), include_str!("../assets/halfcheetah.xml")],
     [include_str!("../assets/walker2d.toml"), include_str!("../assets/walker2d.xml")],
     [include_str!("../assets/ant.toml"), include_str!("../assets/ant.xml")],
     [include_str!("../assets/halfcheetah-pushed.toml"), include_str!("../assets/halfcheetah.xml")],
     [include_str!("../assets/walker2d-pushed.toml"), include_str!("../assets/walker2d.xml")],
     [include_str!("../assets/ant-pushed.toml"), include_str!("../assets/ant.xml")],
+    [include_str!("../assets/humanoid.toml"), include_str!("../assets/humanoid.xml")],
+    [include_str!("../assets/quadruped.toml"), include_str!("../assets/quadruped.xml")],
 ];
 
 static FILES: LazyLock<Vec<(TaskFile, &str)>> = LazyLock::new(|| {

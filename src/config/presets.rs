@@ -36,6 +36,7 @@ pub(crate) const TASKS: &[Preset] = presets!(
     "walker2d-2x3", "walker2d-3x2", "walker2d-6x1",
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",
     "halfcheetah-pushed-2x3", "walker2d-pushed-2x3", "ant-pushed-4x2",
+    "humanoid-9x8", "humanoid-limbs", "humanoid-17x1", "quadruped-4x3",
 );
 
 /// Settings per algorithm.

@@ -11,7 +11,7 @@ use super::command::{CommandRow, Heading};
 use super::disturbance::DisturbanceRow;
 use crate::error::SimError;
 use crate::noise;
-use crate::robot::{Neighbourhood, Physics, RobotRow};
+use crate::robot::{Neighbourhood, Orientation, Physics, RobotRow};
 use crate::spelling;
 
 /// Content of a task file.
@@ -100,6 +100,8 @@ pub(crate) enum TermName {
     ActionRate,
     /// [`super::terms::velocity_tracking`]
     VelocityTracking,
+    /// [`super::terms::mass_centre_speed`]
+    MassCentreSpeed,
 }
 
 /// Range of a coordinate, in the model's own frame, m or rad, or of a feature.
@@ -197,12 +199,35 @@ pub(crate) struct StateRow {
     pub(crate) hidden: Vec<String>,
     /// Velocities are clipped to plus and minus this value, m/s or rad/s; absent: not clipped.
     pub(crate) largest_velocity: Option<f32>,
+    /// Axes of the linear velocities of free joints.
+    pub(crate) linear_velocity: Axes,
     /// Axes of a free root's angular velocity.
     pub(crate) angular_velocity: Axes,
     /// Who observes what the episode has drawn of `[disturbance]`.
     pub(crate) disturbances: Audience,
     /// Whether the state may have features of contact forces, which `observation.contact_forces` selects.
     pub(crate) contact_forces: bool,
+}
+
+impl StateRow {
+    /// First components of the velocities of free joints that are expressed in the axes of their bodies, with the
+    /// rotations. The linear velocities precede the angular ones.
+    pub(super) fn velocities_in_body(
+        &self,
+        free: &[Orientation],
+    ) -> Result<Vec<(usize, Orientation)>, SimError> {
+        let rows = [("linear", self.linear_velocity, 3), ("angular", self.angular_velocity, 0)];
+        let rows = rows.into_iter().filter(|(_, axes, _)| *axes == Axes::Body);
+        let in_body = |(which, _, before): (&str, Axes, usize)| {
+            if free.is_empty() {
+                let why = "_velocity = \"body\" needs a robot with a free joint";
+                return Err(refused(format!("state.{which}{why}")));
+            }
+            let first = move |turn: &Orientation| (turn.velocity - before, *turn);
+            Ok(free.iter().map(first).collect::<Vec<_>>())
+        };
+        Ok(rows.map(in_body).collect::<Result<Vec<_>, _>>()?.concat())
+    }
 }
 
 /// Axes in which a vector is expressed.

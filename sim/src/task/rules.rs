@@ -6,7 +6,7 @@ use rapier3d::math::Vector;
 
 use super::Motion;
 use super::command::CommandRanges;
-use super::definition::{Audience, Axes, HealthyRow, TaskFile, refused, within};
+use super::definition::{Audience, HealthyRow, TaskFile, refused, within};
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
 use super::start::Start;
@@ -14,6 +14,7 @@ use super::terms::{self, RootTilt, Transition, WeightedSum};
 use crate::error::SimError;
 use crate::robot::{Orientation, Robot};
 use crate::state::EpisodeDraws;
+use crate::world::World;
 
 /// A number that ends an episode.
 #[derive(Clone, Copy, Debug)]
@@ -36,8 +37,8 @@ pub(crate) struct Rules {
     /// Coordinates in the global state.
     shown: Vec<usize>,
     largest_velocity: Option<f32>,
-    /// Rotations of free joints whose velocities are expressed in the axes of their bodies.
-    turning_in_body: Vec<Orientation>,
+    /// First components of velocities of free joints that are expressed in the axes of their bodies, and the rotations.
+    velocities_in_body: Vec<(usize, Orientation)>,
     contact_forces: bool,
     command: CommandRanges,
     disturbance: DisturbanceRanges,
@@ -64,14 +65,7 @@ impl Rules {
             healthy: healthy.collect::<Result<_, _>>()?,
             shown,
             largest_velocity: file.state.largest_velocity,
-            turning_in_body: match (file.state.angular_velocity, &robot.layout().orientations) {
-                (Axes::World, _) => Vec::new(),
-                (Axes::Body, orientations) if orientations.is_empty() => {
-                    let why = "state.angular_velocity = \"body\" needs a robot with a free joint";
-                    return Err(refused(why));
-                }
-                (Axes::Body, orientations) => orientations.clone(),
-            },
+            velocities_in_body: file.state.velocities_in_body(&robot.layout().orientations)?,
             contact_forces: file.state.contact_forces,
             command,
             described: match file.state.disturbances {
@@ -136,6 +130,12 @@ impl Rules {
         self.reward.reads_last_action() || self.cost.reads_last_action()
     }
 
+    /// The x of the mass centre, m, if the reward depends on it, else 0.
+    pub(crate) fn mass_centre(&self, world: &World) -> f32 {
+        let is_read = self.reward.reads_mass_centre() || self.cost.reads_mass_centre();
+        if is_read { world.centre_of_mass()[0] } else { 0.0 }
+    }
+
     /// The disturbances that the task states.
     pub(crate) fn disturbance(&self) -> &DisturbanceRanges {
         &self.disturbance
@@ -191,10 +191,11 @@ impl Rules {
         }
         let velocities = &mut rest[..motion.velocities.len()];
         velocities.copy_from_slice(motion.velocities);
-        for orientation in &self.turning_in_body {
-            let turning = &mut velocities[orientation.velocity..][..3];
+        for (first, orientation) in &self.velocities_in_body {
+            let velocity = &mut velocities[*first..][..3];
             let rotation = orientation.rotation(motion.coordinates);
-            turning.copy_from_slice(&(rotation.inverse() * Vector::from_slice(turning)).to_array());
+            velocity
+                .copy_from_slice(&(rotation.inverse() * Vector::from_slice(velocity)).to_array());
         }
         if let Some(largest) = self.largest_velocity {
             velocities.iter_mut().for_each(|v| *v = v.clamp(-largest, largest));

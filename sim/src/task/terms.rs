@@ -22,6 +22,8 @@ pub(crate) struct Transition<'a> {
     pub(crate) last_control: &'a [f32],
     /// Target velocity, m/s and rad/s, `[C]`.
     pub(crate) command: &'a [f32],
+    /// The x of the robot's mass centre before and after the step, m; 0 unless a term reads it.
+    pub(crate) mass_centre: [f32; 2],
     /// Duration of the step, s.
     pub(crate) dt_secs: f32,
 }
@@ -37,6 +39,7 @@ enum Term {
     InRange { coordinate: usize, range: [f32; 2] },
     ActionRate,
     VelocityTracking { command: CommandRanges, components: Vec<(usize, Heading)>, sigma: f32 },
+    MassCentreSpeed,
 }
 
 /// Coordinates that determine the tilt of the root.
@@ -52,6 +55,12 @@ pub(super) enum RootTilt {
 /// of the root: its x.
 pub(super) fn forward_speed(step: &Transition<'_>, coordinate: usize) -> f32 {
     (step.after.position(coordinate) - step.before.position(coordinate)) / step.dt_secs
+}
+
+/// `(x' - x) / dt` of the robot's mass centre, m/s, as in MuJoCo's Humanoid.
+pub(super) fn mass_centre_speed(step: &Transition<'_>) -> f32 {
+    let [before, after] = step.mass_centre;
+    (after - before) / step.dt_secs
 }
 
 /// 1 in every step, including the last; no unit.
@@ -127,6 +136,7 @@ impl Term {
             Self::VelocityTracking { command, components, sigma } => {
                 velocity_tracking(step, command, components, *sigma)
             }
+            Self::MassCentreSpeed => mass_centre_speed(step),
         }
     }
 }
@@ -164,6 +174,11 @@ impl WeightedSum {
     pub(super) fn reads_last_action(&self) -> bool {
         self.0.iter().any(|(_, term)| matches!(term, Term::ActionRate))
     }
+
+    /// Whether a term reads the robot's mass centre.
+    pub(super) fn reads_mass_centre(&self) -> bool {
+        self.0.iter().any(|(_, term)| matches!(term, Term::MassCentreSpeed))
+    }
 }
 
 impl TermName {
@@ -177,6 +192,7 @@ impl TermName {
             Self::InRange => "in_range",
             Self::ActionRate => "action_rate",
             Self::VelocityTracking => "velocity_tracking",
+            Self::MassCentreSpeed => "mass_centre_speed",
         }
     }
 
@@ -187,7 +203,11 @@ impl TermName {
             Self::InRange => &["coordinate", "range"],
             Self::TargetDistance => &["target"],
             Self::VelocityTracking => &["components", "sigma"],
-            Self::Alive | Self::Control | Self::Upright | Self::ActionRate => &[],
+            Self::Alive
+            | Self::Control
+            | Self::Upright
+            | Self::ActionRate
+            | Self::MassCentreSpeed => &[],
         }
     }
 }
@@ -229,6 +249,7 @@ fn term(
             range: ascending(place, row.range.ok_or_else(|| missing("range"))?)?,
         },
         TermName::ActionRate => Term::ActionRate,
+        TermName::MassCentreSpeed => Term::MassCentreSpeed,
         TermName::VelocityTracking => {
             let sigma = row.sigma.ok_or_else(|| missing("sigma"))?;
             within(&format!("{place}.sigma"), sigma, 1e-3, 1e3)?;

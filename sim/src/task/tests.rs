@@ -184,10 +184,11 @@ fn a_motor_of_gear_80_and_one_of_gear_1_with_80_times_the_control_range_are_the_
 }
 
 #[test]
-fn the_controls_of_the_programs_robots_are_their_actions() {
+fn the_controls_of_all_robots_can_be_explored_and_those_of_the_published_runs_are_actions() {
     for &task in task_names().iter().filter(|name| !game::NAMES.contains(*name)) {
         let robot = Robot::of_task(task).unwrap();
-        assert!(robot.blueprint().motors.iter().all(|motor| motor.range == [-1.0, 1.0]), "{task}");
+        let is_action = robot.blueprint().motors.iter().all(|motor| motor.range == [-1.0, 1.0]);
+        assert_eq!(is_action, !["humanoid", "quadruped"].contains(&robot.name()), "{task}");
         assert_eq!(robot.hard_to_explore(), [""; 0], "{task}");
     }
 }
@@ -217,6 +218,8 @@ fn terms_of_the_motion_describe_a_hopper_that_stands() {
     let speed = rewards("term = \"forward_speed\"");
     let height = rewards("term = \"forward_speed\"\ncoordinate = \"rootz\"");
     assert!(speed != height && speed[0].abs() < 1.0 && height[0].abs() < 1.0);
+    let of_all = rewards("term = \"mass_centre_speed\"");
+    assert!(of_all != speed && of_all[0].abs() < 1.0);
     let upright = rewards("term = \"upright\"")[0];
     assert!(upright > 0.99 && upright <= 1.0, "{upright}");
     let within =
@@ -347,7 +350,12 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         (
             "hidden = [",
             "angular_velocity = \"body\"\nhidden = [",
-            &["needs a robot with a free joint"],
+            &["state.angular_velocity = \"body\" needs a robot with a free joint"],
+        ),
+        (
+            "hidden = [",
+            "linear_velocity = \"body\"\nhidden = [",
+            &["state.linear_velocity = \"body\" needs a robot with a free joint"],
         ),
     ] {
         let message = refusal(&changed(from, to));

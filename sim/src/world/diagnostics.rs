@@ -1,5 +1,5 @@
-//! Physics diagnostics: energy, centre of mass, lowest point, contact impulse. They allocate; do not use them while
-//! stepping.
+//! Physics diagnostics: energy, centre of mass, lowest point, contact impulse. All but the centre of mass may allocate; do
+//! not use them while stepping.
 
 use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::shape::SupportMap as _;

@@ -5,6 +5,7 @@
 mod bounds;
 mod fidelity;
 mod hostile;
+mod humanoid;
 mod observations;
 mod pushed;
 mod rebuild;
