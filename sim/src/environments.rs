@@ -308,6 +308,7 @@ impl RobotEnvironments {
         let bounded = self.bounds.check_motion(&self.next.coordinates, &self.next.velocities);
         if !whole || bounded.is_err() {
             environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
+            self.update_state(index);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
         remember(&mut self.next.actions, &self.asked, &environment.now.actions);

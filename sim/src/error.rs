@@ -1,6 +1,15 @@
 //! Errors of environments, actions and encoded states.
 
+use std::fmt::{Display, LowerExp};
+
 use thiserror::Error;
+
+/// A number for a message, with an exponent if it is very large or small.
+pub(crate) fn short<T: Copy + Display + LowerExp + Into<f64>>(number: T) -> String {
+    let size = number.into().abs();
+    let is_plain = size == 0.0 || (1e-4..1e6).contains(&size) || !size.is_finite();
+    if is_plain { number.to_string() } else { format!("{number:e}") }
+}
 
 /// Why environments cannot be built, restored or stepped.
 #[derive(Debug, Error)]

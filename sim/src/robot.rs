@@ -97,7 +97,9 @@ fn damp(motor: &mut MotorPlan, layout: &Layout) {
             (None, None) => return,
         };
         let inertia = 1.0 / (inverse * motor.gear * motor.gear);
-        servo.bias[2] = -2.0 * ratio * (servo.gain * inertia).sqrt();
+        // What nothing moves has no inertia, and a negative gain no damping.
+        let damping = 2.0 * ratio * (servo.gain * inertia).sqrt();
+        servo.bias[2] = if damping.is_finite() { -damping } else { 0.0 };
     }
 }
 
@@ -129,6 +131,7 @@ impl Robot {
             blueprint.use_engine(compliance).map_err(refused)?;
         }
         let (template, layout) = assemble::assemble(&blueprint).map_err(refused)?;
+        layout.check_names().map_err(refused)?;
         blueprint.motors.iter_mut().for_each(|motor| damp(motor, &layout));
         Ok(Self {
             name: row.name,

@@ -1,5 +1,7 @@
 //! Suggestions for misspelt names.
 
+use std::collections::BTreeSet;
+
 /// The candidate most similar to `word`, if it is a few typing errors away at most.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     nearest_by(word, candidates, strsim::osa_distance)
@@ -14,6 +16,24 @@ pub fn nearest_by<'a>(
     let ranked = candidates.into_iter().map(|candidate| (distance(word, candidate), candidate));
     let similar = ranked.filter(|(errors, _)| *errors <= most_errors(word));
     similar.min_by_key(|(errors, _)| *errors).map(|(_, candidate)| candidate)
+}
+
+/// Most names that a message lists.
+const MOST_NAMED: usize = 12;
+
+/// What to write in place of an unknown name: the nearest candidate, or one of all.
+pub(crate) fn choice<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
+    let named = candidates.into_iter().filter(|name| !name.is_empty());
+    let all: Vec<&str> = named.collect::<BTreeSet<_>>().into_iter().collect();
+    match (nearest(word, all.iter().copied()), all.len()) {
+        (Some(name), _) => format!("did you mean `{name}`?"),
+        (None, 0) => "there is none".to_owned(),
+        (None, 1..=MOST_NAMED) => format!("there are {}", all.join(", ")),
+        (None, count) => {
+            let more = count - MOST_NAMED;
+            format!("there are {} and {more} more", all[..MOST_NAMED].join(", "))
+        }
+    }
 }
 
 /// Errors in a word of this length with which it is still recognisable: one in four letters, at most three.
@@ -33,5 +53,15 @@ mod tests {
         assert_eq!(nearest("kne", ["hip", "knee"]), Some("knee"));
         assert_eq!(nearest("ankle", ["hip", "knee"]), None);
         assert_eq!(nearest("kne", []), None);
+    }
+
+    #[test]
+    fn without_a_similar_name_all_are_named_up_to_a_limit() {
+        assert_eq!(choice("kne", ["hip", "knee"]), "did you mean `knee`?");
+        assert_eq!(choice("ankle", ["knee", "", "hip", "hip"]), "there are hip, knee");
+        assert_eq!(choice("ankle", [""]), "there is none");
+        let many: Vec<String> = (10..25).map(|number| format!("j{number}")).collect();
+        let text = choice("ankle", many.iter().map(String::as_str));
+        assert!(text.starts_with("there are j10, j11, ") && text.ends_with(", j21 and 3 more"));
     }
 }

@@ -121,7 +121,6 @@ impl Task {
     /// Builds a task of a file and checks all names against the robot.
     fn build(file: &TaskFile, mjcf: &str, name: &str) -> Result<Self, SimError> {
         let robot = Robot::build(file.robot_row(mjcf.to_owned()))?;
-        check_numbers(&robot)?;
         let prefix = format!("{}-", file.robot);
         let agents = name.strip_prefix(&prefix).and_then(|partition| file.agents.get(partition));
         let Some(agents) = agents else {
@@ -198,34 +197,6 @@ impl TaskDefinition {
     pub fn settings(&self) -> Result<String, SimError> {
         TaskFile::parse(&self.file).map(|file| file.settings.to_string())
     }
-}
-
-/// Refuses a model with numbers that no simulation survives.
-fn check_numbers(robot: &Robot) -> Result<(), SimError> {
-    let unfit = |reason: String| SimError::Model { robot: robot.name().to_owned(), reason };
-    let step_secs = robot.physics_step_secs();
-    if !(1e-5..=0.1).contains(&step_secs) {
-        return Err(unfit(format!("its timestep must lie in 0.00001..=0.1 s, is {step_secs}")));
-    }
-    for (link, mass, inertia) in robot.masses() {
-        // The base, and all but the last link of a body with several joints, have no mass.
-        let is_massless = mass == 0.0 && inertia == [0.0; 3];
-        let is_solid =
-            inertia.iter().chain([&mass]).all(|number| number.is_finite() && *number > 0.0);
-        if !is_solid && !is_massless {
-            return Err(unfit(format!(
-                "{link}: mass {mass} kg and inertia {inertia:?} must be above 0"
-            )));
-        }
-    }
-    for MotorPlan { name, gear, range: [low, high], .. } in &robot.blueprint().motors {
-        if !(low.is_finite() && high.is_finite() && low < high && gear.is_finite()) {
-            return Err(unfit(format!(
-                "{name}: its motor has gear {gear} and range [{low}, {high}]"
-            )));
-        }
-    }
-    Ok(())
 }
 
 /// Motors of each agent. A joint's name stands for all its actuators, that of an actuator for one of them; each belongs to

@@ -1,5 +1,6 @@
 //! An MJCF document as a tree of elements with their lines. Included files are inlined and default classes applied.
 
+mod bounds;
 mod classes;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -56,7 +57,10 @@ impl Element {
         let document = parsed(text)?;
         let root = document.root_element();
         if root.tag_name().name() != "mujoco" {
-            return Err(format!("the document is <{}>, not <mujoco>", root.tag_name().name()));
+            return Err(format!(
+                "the document is <{}>, not <mujoco>; name an MJCF file",
+                root.tag_name().name()
+            ));
         }
         read(root, &Source::of(text, None), folder, Depth { elements: 1, includes: 0 })
     }
@@ -128,6 +132,18 @@ impl Element {
         self.attributes.get(name).map(String::as_str)
     }
 
+    /// Error message for an attribute that names no `kind`; `known` are the names of all.
+    pub(super) fn refuse_name<'a>(
+        &self,
+        attribute: &str,
+        kind: &str,
+        known: impl IntoIterator<Item = &'a str>,
+    ) -> String {
+        let name = self.text(attribute).unwrap_or_default();
+        let hint = spelling::choice(name, known);
+        self.refuse_for(attribute, format!("no {kind} has the name `{name}`; {hint}"))
+    }
+
     /// Children with this tag.
     pub(super) fn all<'a>(&'a self, tag: &'a str) -> impl Iterator<Item = &'a Element> {
         self.children.iter().filter(move |child| child.tag == tag)
@@ -148,18 +164,20 @@ impl Element {
         Err(self.refuse_for(first, reason))
     }
 
-    /// Numbers of an attribute, at least one.
+    /// Numbers of an attribute within its bounds, at least one.
     pub(super) fn list(&self, name: &str) -> Result<Option<Vec<f64>>, String> {
         let Some(text) = self.text(name) else { return Ok(None) };
         let numbers: Result<Vec<f64>, _> = text.split_ascii_whitespace().map(str::parse).collect();
-        match numbers {
-            Ok(numbers)
-                if !numbers.is_empty()
-                    && numbers.iter().all(|x| x.abs() <= f64::from(f32::MAX)) =>
-            {
-                Ok(Some(numbers))
+        let numbers = match numbers {
+            Ok(numbers) if !numbers.is_empty() && numbers.iter().all(|x| x.is_finite()) => numbers,
+            _ => {
+                let reason = format!("{name}=\"{text}\" must be finite numbers");
+                return Err(self.refuse_for(name, reason));
             }
-            _ => Err(self.refuse_for(name, format!("{name}=\"{text}\" must be finite numbers"))),
+        };
+        match numbers.iter().find_map(|number| bounds::refusal(name, *number)) {
+            None => Ok(Some(numbers)),
+            Some(reason) => Err(self.refuse_for(name, format!("`{name}` {reason}"))),
         }
     }
 
@@ -314,7 +332,8 @@ fn included(
     folder: &mut Folder<'_>,
     depth: Depth,
 ) -> Result<Vec<Element>, String> {
-    let name = include.text("file").ok_or_else(|| include.refuse("it has no `file`"))?;
+    include.only(&[&["file"]])?;
+    let name = include.text("file").ok_or_else(|| include.refuse("it has no `file`; add one"))?;
     if depth.includes == DEEPEST_INCLUDE {
         return Err(include.refuse(format!("files are included more than {DEEPEST_INCLUDE} deep")));
     }
@@ -331,12 +350,18 @@ pub(super) const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxe
 
 /// Refuses a second element with the same name.
 pub(super) fn check_names<'a>(elements: impl Iterator<Item = &'a Element>) -> Result<(), String> {
+    check_unique(elements.filter_map(|element| Some((element, element.text("name")?))))
+}
+
+/// Refuses a second element with the same name, which may be an implied one.
+pub(super) fn check_unique<'a>(
+    named: impl Iterator<Item = (&'a Element, &'a str)>,
+) -> Result<(), String> {
     let mut names = BTreeSet::new();
-    for element in elements {
-        if let Some(name) = element.text("name")
-            && !names.insert(name)
-        {
-            return Err(element.refuse("another element has the same name; rename one"));
+    for (element, name) in named {
+        if !names.insert(name) {
+            let reason = format!("another element has the name `{name}`, too; rename one");
+            return Err(element.refuse(reason));
         }
     }
     Ok(())

@@ -41,7 +41,7 @@ impl Angles {
         let mut given = ORIENTATIONS.iter().filter(|name| element.text(name).is_some());
         let (first, second) = (given.next(), given.next());
         if second.is_some() {
-            return Err(element.refuse("it has more than one orientation"));
+            return Err(element.refuse("it has more than one orientation; remove all but one"));
         }
         let rotation = match first.copied() {
             Some("quat") => {
@@ -64,7 +64,9 @@ impl Angles {
             None => return Ok(IDENTITY.rotation),
         };
         let rotation = rotation.and_then(normalized);
-        rotation.ok_or_else(|| element.refuse("its orientation has no direction"))
+        let name = first.copied().unwrap_or_default();
+        let reason = || format!("`{name}` has no direction; correct its numbers");
+        rotation.ok_or_else(|| element.refuse_for(name, reason()))
     }
 
     fn euler(&self, element: &Element) -> Result<[f64; 4], String> {

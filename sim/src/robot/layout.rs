@@ -1,5 +1,7 @@
 //! Positions of a robot's coordinates and velocities in its multibody.
 
+use std::collections::BTreeSet;
+
 use rapier3d::dynamics::Multibody;
 use rapier3d::math::Rotation;
 use rapier3d::prelude::*;
@@ -131,6 +133,17 @@ impl Layout {
     /// Joint of the robot's root.
     pub(crate) fn root_joint(&self) -> &JointMap {
         &self.joints[self.root]
+    }
+
+    /// Refuses two coordinates of the same name.
+    pub(super) fn check_names(&self) -> Result<(), String> {
+        let mut names = BTreeSet::new();
+        match self.coordinate_names.iter().find(|name| !names.insert(*name)) {
+            None => Ok(()),
+            Some(name) => Err(format!(
+                "two coordinates have the name `{name}`, which follows from those of joints and bodies; rename one"
+            )),
+        }
     }
 
     /// First coordinate in a state of the hinge with this index.

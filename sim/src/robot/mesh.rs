@@ -85,13 +85,18 @@ impl Mesh {
     /// The convex hull.
     pub(super) fn hull(&self) -> Result<Hull, String> {
         if let Some(far) = self.points.iter().flatten().find(|x| x.is_nan() || x.abs() > FARTHEST) {
-            return Err(format!("a coordinate is {far} m, at most {FARTHEST} m are allowed"));
+            return Err(format!(
+                "a coordinate is {far:e} m, at most {FARTHEST} m are allowed; check its `scale`, and its `vertex` or file"
+            ));
         }
         let unique: BTreeSet<[u32; 3]> =
             self.points.iter().map(|point| point.map(|x| (x as f32 + 0.0).to_bits())).collect();
         let points: Vec<Vector> =
             unique.into_iter().map(|bits| Vector::from_array(bits.map(f32::from_bits))).collect();
-        let flat = || "its points do not span a volume".to_owned();
+        let flat = || {
+            "its points do not span a volume; check its `scale`, and its `vertex` or file"
+                .to_owned()
+        };
         let (points, triangles) = try_convex_hull(&points).map_err(|_| flat())?;
         let hull = Hull {
             points: points.iter().map(|point| point.to_array()).collect(),

@@ -81,10 +81,6 @@ impl Surface {
             solref: element.padded("solref", solref)?,
             solimp: element.padded("solimp", solimp)?,
         };
-        let [slide, twist, roll] = surface.friction;
-        if [slide, twist, roll, surface.margin, surface.mix].iter().any(|number| *number < 0.0) {
-            return Err(element.refuse("`friction`, `margin` and `solmix` must not be negative"));
-        }
         if ![1, 3, 4, 6].contains(&surface.dimensions) {
             return Err(element.refuse_for("condim", "`condim` must be 1, 3, 4 or 6"));
         }

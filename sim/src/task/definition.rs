@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 
 use super::command::{CommandRow, Heading};
 use super::disturbance::DisturbanceRow;
-use crate::error::SimError;
+use crate::error::{SimError, short};
 use crate::noise;
 use crate::robot::{Neighbourhood, Orientation, Physics, RobotRow};
 use crate::spelling;
@@ -321,11 +321,23 @@ pub(super) fn refused(why: impl Into<String>) -> SimError {
     SimError::TaskFile(why.into())
 }
 
+/// Refuses a list with an entry twice.
+pub(super) fn check_repeats<T: PartialEq>(key: &str, list: &[T]) -> Result<(), SimError> {
+    match (1..list.len()).any(|index| list[..index].contains(&list[index])) {
+        true => Err(refused(format!("{key} names an entry twice; remove one"))),
+        false => Ok(()),
+    }
+}
+
+/// Largest weight, bound or target, in its unit.
+pub(super) const LARGEST_NUMBER: f32 = 1e9;
+
 /// Refuses a number outside `low..=high`, and NaN.
 pub(super) fn within(key: &str, value: f32, low: f32, high: f32) -> Result<(), SimError> {
     if (low..=high).contains(&value) {
         Ok(())
     } else {
+        let [low, high, value] = [low, high, value].map(short);
         Err(refused(format!("{key} must lie in {low}..={high}, is {value}")))
     }
 }

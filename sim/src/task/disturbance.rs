@@ -12,7 +12,7 @@ use proto::{FeatureRole, FeatureSpec};
 use rand::RngCore;
 use rapier3d::math::Vector;
 
-use super::definition::refused;
+use super::definition::{check_repeats, refused};
 use super::names::Names;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
@@ -24,7 +24,7 @@ pub(crate) use row::DisturbanceRow;
 pub(super) use row::ascending;
 use row::{PayloadRow, SensorRow, WorldAxis};
 
-/// Largest number of pushes, and of payloads.
+/// Largest number of pushes, of payloads, and of rows of the terrain.
 const MOST_ROWS: usize = 100;
 
 /// The disturbances of a task, with names resolved to indices.
@@ -275,12 +275,22 @@ fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, Si
     let known: Vec<String> = bodies.cloned().collect();
     let names = Names::new("fixed body with a shape that is no plane", &known);
     let mut found = Vec::new();
+    let raised: Vec<&String> = row.terrain.iter().map(|terrain| &terrain.body).collect();
+    check_rows("disturbance.terrain", raised.len())?;
+    check_repeats("disturbance.terrain.body", &raised)?;
     for (index, terrain) in row.terrain.iter().enumerate() {
         names.index("disturbance.terrain.body", &terrain.body)?;
         let own = grounds().filter(|(_, ground)| blueprint.bodies[ground.body] == terrain.body);
         found.extend(own.filter(|(_, ground)| solid(ground)).map(|(ground, _)| (ground, index)));
     }
     Ok(found)
+}
+
+fn check_rows(place: &str, count: usize) -> Result<(), SimError> {
+    match count > MOST_ROWS {
+        true => Err(refused(format!("{place} has {count} rows; at most {MOST_ROWS} are allowed"))),
+        false => Ok(()),
+    }
 }
 
 /// Indices of the links that the rows of `disturbance.KEY` name.
@@ -290,12 +300,7 @@ fn links<'a>(
     robot: &Robot,
 ) -> Result<Vec<usize>, SimError> {
     let place = format!("disturbance.{key}");
-    if names.len() > MOST_ROWS {
-        return Err(refused(format!(
-            "{place} has {} rows; at most {MOST_ROWS} are allowed",
-            names.len()
-        )));
-    }
+    check_rows(&place, names.len())?;
     let plans = &robot.blueprint().links;
     let can_move =
         |link: &&LinkPlan| link.mass.mass() > 0.0 && !matches!(link.joint, JointPlan::Fixed);

@@ -6,7 +6,7 @@ use rapier3d::math::Vector;
 
 use super::Motion;
 use super::command::CommandRanges;
-use super::definition::{Audience, HealthyRow, TaskFile, refused, within};
+use super::definition::{Audience, HealthyRow, LARGEST_NUMBER, TaskFile, refused, within};
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
 use super::start::Start;
@@ -241,21 +241,28 @@ fn checked_healthy(
         _ => return Err(refused("healthy needs either a `coordinate` or a `feature`")),
     };
     let place = format!("healthy.{name}");
-    let given = [row.above, row.at_least, row.below, row.at_most].into_iter().flatten();
-    let (numbers, mut bounds) = (given.clone().count(), given);
-    if numbers == 0 {
+    let bounds = [
+        ("above", row.above),
+        ("at_least", row.at_least),
+        ("below", row.below),
+        ("at_most", row.at_most),
+    ];
+    if bounds.iter().all(|(_, bound)| bound.is_none()) {
         let why = "needs a bound: above, at_least, below or at_most";
         return Err(refused(format!("{place} {why}")));
     }
-    if let Some(bound) = bounds.find(|bound| !bound.is_finite()) {
-        return Err(refused(format!("{place}: a bound must be finite, is {bound}")));
+    for (key, bound) in bounds {
+        let bound = bound.unwrap_or(0.0);
+        within(&format!("{place}.{key}"), bound, -LARGEST_NUMBER, LARGEST_NUMBER)?;
     }
     let low = row.above.into_iter().chain(row.at_least).fold(f32::NEG_INFINITY, f32::max);
     let high = row.below.into_iter().chain(row.at_most).fold(f32::INFINITY, f32::min);
     if low < high {
         Ok((watched, row.clone()))
     } else {
-        Err(refused(format!("{place}: the lower bound {low} is not below {high}")))
+        Err(refused(format!(
+            "{place}: the lower bound {low} (above, at_least) is not below {high} (below, at_most)"
+        )))
     }
 }
 

@@ -68,7 +68,9 @@ impl Start {
             let is_within = value - reach >= *low && value + reach <= *high;
             if !turns(index) && !is_within {
                 let name = &robot.coordinate_names()[index];
-                return Err(refused(format!("the start moves `{name}` out of {low}..={high}")));
+                return Err(refused(format!(
+                    "start.coordinates, with the noise: the start moves `{name}` out of {low}..={high}"
+                )));
             }
         }
         start.orientations.clone_from(&bounds.orientations);

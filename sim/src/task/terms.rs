@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use super::Motion;
 use super::command::{CommandRanges, Heading};
-use super::definition::{TermName, TermRow, refused, within};
+use super::definition::{LARGEST_NUMBER, TermName, TermRow, check_repeats, refused, within};
+use super::disturbance::ascending;
 use super::names::Names;
 use crate::error::SimError;
 use crate::robot::{MapKind, Robot};
@@ -155,11 +156,8 @@ impl WeightedSum {
     ) -> Result<Self, SimError> {
         let resolve = |row: &TermRow| {
             let place = format!("{key}.{}", row.term.word());
-            if row.weight.is_finite() {
-                Ok((row.weight, term(&place, row, robot, command)?))
-            } else {
-                Err(refused(format!("{place}.weight must be finite, is {}", row.weight)))
-            }
+            within(&format!("{place}.weight"), row.weight, -LARGEST_NUMBER, LARGEST_NUMBER)?;
+            Ok((row.weight, term(&place, row, robot, command)?))
         };
         rows.iter().map(resolve).collect::<Result<_, _>>().map(Self)
     }
@@ -246,7 +244,12 @@ fn term(
         TermName::Upright => Term::Upright { root: root_tilt(place, robot)? },
         TermName::InRange => Term::InRange {
             coordinate: coordinate.ok_or_else(|| missing("coordinate"))?,
-            range: ascending(place, row.range.ok_or_else(|| missing("range"))?)?,
+            range: {
+                let range = row.range.ok_or_else(|| missing("range"))?;
+                let bounds = [-LARGEST_NUMBER, LARGEST_NUMBER];
+                ascending(&format!("{place}.range"), range, bounds)?;
+                range
+            },
         },
         TermName::ActionRate => Term::ActionRate,
         TermName::MassCentreSpeed => Term::MassCentreSpeed,
@@ -271,6 +274,7 @@ fn followed(
         let why = "follows nothing: state a range in [command], and `components` for yaw";
         return Err(refused(format!("{place} {why}")));
     }
+    check_repeats(&format!("{place}.components"), &followed)?;
     let resolve = |heading: Heading| {
         let why = || refused(format!("{place}: [command] has no range `{}`", heading.word()));
         Ok((command.index(heading).ok_or_else(why)?, heading))
@@ -287,23 +291,10 @@ fn resolved_target(
         return Err(refused(format!("{place}.target names no coordinate")));
     }
     let resolve = |(name, value): (&String, &f32)| {
-        if value.is_finite() {
-            Ok((names.index(&format!("{place}.target"), name)?, *value))
-        } else {
-            Err(refused(format!("{place}.target.{name} must be finite, is {value}")))
-        }
+        within(&format!("{place}.target.{name}"), *value, -LARGEST_NUMBER, LARGEST_NUMBER)?;
+        Ok((names.index(&format!("{place}.target"), name)?, *value))
     };
     target.iter().map(resolve).collect()
-}
-
-fn ascending(place: &str, range: [f32; 2]) -> Result<[f32; 2], SimError> {
-    let [low, high] = range;
-    match low.is_finite() && high.is_finite() && low <= high {
-        true => Ok(range),
-        false => {
-            Err(refused(format!("{place}.range must ascend and be finite, is [{low}, {high}]")))
-        }
-    }
 }
 
 pub(super) fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError> {

@@ -2,6 +2,7 @@
 
 mod commands;
 mod disturbances;
+mod hostile;
 mod physics;
 mod starts;
 
@@ -321,7 +322,7 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         ("[\"knee\"]]", "[\"hip\"]]", &["agents: the joint `hip` is named twice"]),
         (", [\"knee\"]]", "]", &["agents: the joint `knee` belongs to no agent"]),
         (", [\"knee\"]]", ", []]", &["agents: agent 1 has no joint"]),
-        ("weight = 1e-3", "weight = nan", &["cost.control.weight must be finite, is NaN"]),
+        ("weight = 1e-3", "weight = nan", &["cost.control.weight must lie in -1e9..=1e9, is NaN"]),
         ("weight = 1e-3", "weight = 1e-3\nrange = [0, 1]", &["cost.control has no key `range`"]),
         (
             "term = \"alive\"",
@@ -331,7 +332,11 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         ("\"rootz\"", "\"rotz\"", &["healthy.coordinate", "`rotz`; did you mean `rootz`?"]),
         ("at_least = -0.5", "at_least = 1.0\nat_most = 0.5", &["healthy.rootz: the lower bound 1"]),
         ("at_least = -0.5", "", &["healthy.rootz needs a bound"]),
-        ("at_least = -0.5", "at_least = inf", &["healthy.rootz: a bound must be finite"]),
+        (
+            "at_least = -0.5",
+            "at_least = inf",
+            &["healthy.rootz.at_least must lie in -1e9..=1e9, is inf"],
+        ),
         (
             "velocities = { uniform",
             "velocities = { even",

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::iter;
 
 use super::Element;
+use crate::spelling;
 
 /// Actuators share one default, whatever their tag.
 const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
@@ -74,7 +75,8 @@ impl Classes {
             base.or_insert_with(|| Element::merged(slot, iter::empty())).overlay(child);
         }
         for child in default.all("default") {
-            let name = child.text("class").ok_or_else(|| child.refuse("it has no `class`"))?;
+            let name =
+                child.text("class").ok_or_else(|| child.refuse("it has no `class`; add one"))?;
             self.add(child, name, class.clone())?;
         }
         match self.0.insert(name.to_owned(), class) {
@@ -107,8 +109,10 @@ impl Classes {
     ) -> Result<Element, String> {
         let name = element.text("class").or(childclass).unwrap_or(MAIN);
         let class = self.0.get(name);
-        let class =
-            class.ok_or_else(|| element.refuse(format!("no default has the class `{name}`")))?;
+        let class = class.ok_or_else(|| {
+            let hint = spelling::choice(name, self.0.keys().map(String::as_str));
+            element.refuse(format!("no default has the class `{name}`; {hint}"))
+        })?;
         let mut resolved = element.with(BTreeMap::new());
         if let Some(defaults) = class.get(slot) {
             resolved.overlay(defaults);

@@ -1,9 +1,10 @@
 //! Actuators: motors, and servos of the position or the speed of a joint.
 
+use std::collections::BTreeSet;
+
 use super::super::blueprint::{MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan};
 use super::super::document::{Element, check_names};
-use super::bodies::Body;
 use super::context::Context;
 use super::joints;
 use super::links::Links;
@@ -35,6 +36,9 @@ const GENERAL: [&str; 7] =
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
+/// Largest control that a range of a joint or a force implies.
+const LARGEST_CONTROL: f64 = 1e15;
+
 /// A joint or tendon that an actuator moves.
 struct Driven {
     name: String,
@@ -61,51 +65,41 @@ struct Law {
 }
 
 /// Reads all actuators.
-pub(super) fn read(
-    root: &Element,
-    context: &Context,
-    bodies: &[Body],
-    parts: Parts<'_>,
-) -> Vec<MotorPlan> {
+pub(super) fn read(root: &Element, context: &Context, parts: Parts<'_>) -> Vec<MotorPlan> {
     let elements = || root.all("actuator").flat_map(|section| &section.children);
     context.blockers.keep(check_names(elements()));
     let read = |element: &Element| {
         let element = context.classes.resolve(element, None)?;
-        motor(&element, context, bodies, parts).map(|motor| Some((element, motor?)))
+        motor(&element, context, parts).map(|motor| (element, motor))
     };
     let read: Vec<(Element, MotorPlan)> =
-        elements().filter_map(|element| context.blockers.keep(read(element)).flatten()).collect();
+        elements().filter_map(|element| context.blockers.keep(read(element))).collect();
     named(&read)
 }
 
-/// The motors with names: the stated one, else that of the joint, with the kind of actuator if the joint has several.
+/// The motors with names of their own: the stated one, else that of the joint, with the kind of actuator if the joint has
+/// several or another actuator has its name, and with a number if that is taken.
 fn named(read: &[(Element, MotorPlan)]) -> Vec<MotorPlan> {
+    let mut taken: BTreeSet<String> =
+        read.iter().filter_map(|(element, _)| element.text("name").map(str::to_owned)).collect();
     let mut motors: Vec<MotorPlan> = Vec::new();
     for (element, motor) in read {
         let of_joint = read.iter().filter(|(_, other)| other.joint == motor.joint).count();
+        let kind = format!("{}.{}", motor.joint, element.tag);
+        let numbered = (2..).map(|number| format!("{kind}.{number}"));
+        let own = Some(motor.joint.clone()).filter(|_| of_joint == 1);
+        let mut candidates = own.into_iter().chain([kind.clone()]).chain(numbered);
         let name = match element.text("name") {
             Some(name) => name.to_owned(),
-            None if of_joint == 1 => motor.joint.clone(),
-            None => {
-                let name = format!("{}.{}", motor.joint, element.tag);
-                match motors.iter().filter(|other| other.name.starts_with(&name)).count() {
-                    0 => name,
-                    count => format!("{name}.{}", count + 1),
-                }
-            }
+            None => candidates.find(|name| taken.insert(name.clone())).unwrap_or_default(),
         };
         motors.push(MotorPlan { name, ..motor.clone() });
     }
     motors
 }
 
-/// Reads an actuator, without its name; `None` if its joint could not be read.
-fn motor(
-    element: &Element,
-    context: &Context,
-    bodies: &[Body],
-    parts: Parts<'_>,
-) -> Result<Option<MotorPlan>, String> {
+/// Reads an actuator, without its name.
+fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<MotorPlan, String> {
     if let Some(target) = ELSEWHERE.iter().find(|name| element.text(name).is_some()) {
         let reason = format!(
             "an actuator must act on a joint or a fixed tendon, not on a {target}; state its `joint`, or remove it"
@@ -117,10 +111,10 @@ fn motor(
         let reason = "this actuator is not supported; use motor, position, velocity or general";
         return Err(element.refuse(reason));
     }
-    let Some(driven) = driven(element, context, bodies, parts)? else { return Ok(None) };
+    let driven = driven(element, context, parts)?;
     let law = law(element, context)?;
     let range = control_range(element, &driven, &law, context)?;
-    Ok(Some(MotorPlan {
+    Ok(MotorPlan {
         name: String::new(),
         gear: driven.gear as f32,
         range: range.map(|end| end as f32),
@@ -128,16 +122,15 @@ fn motor(
         joint: driven.name,
         moved: driven.moved,
         tendon: driven.tendon,
-    }))
+    })
 }
 
-/// What an actuator moves; `None` if that could not be read.
+/// What an actuator moves.
 fn driven(
     element: &Element,
     context: &Context,
-    bodies: &[Body],
     (links, tendons): Parts<'_>,
-) -> Result<Option<Driven>, String> {
+) -> Result<Driven, String> {
     let targets = ["joint", "jointinparent", "tendon"];
     let mut stated = targets.iter().filter_map(|target| Some((target, element.text(target)?)));
     let (attribute, name) = match (stated.next(), stated.next()) {
@@ -152,16 +145,11 @@ fn driven(
     let gear = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?[0];
     if attribute == "tendon" {
         let index = tendons.iter().position(|tendon| tendon.name == name);
-        let reason = format!("no fixed tendon has the name `{name}`; state its name");
-        let Some(index) = index else {
-            return if context.blockers.is_empty() {
-                Err(element.refuse_for(attribute, reason))
-            } else {
-                Ok(None)
-            };
-        };
+        let known = tendons.iter().map(|tendon| tendon.name.as_str());
+        let unknown = || context.unknown(element, attribute, ("fixed tendon", known));
+        let index = index.ok_or_else(unknown)?;
         let tendon = &tendons[index];
-        return Ok(Some(Driven {
+        return Ok(Driven {
             name: name.to_owned(),
             moved: tendon.moved.clone(),
             tendon: Some(index),
@@ -169,16 +157,12 @@ fn driven(
             range: tendon.range,
             torque_range: None,
             gear,
-        }));
+        });
     }
-    let Some((index, hinge)) = joints::find(&links.plans, name) else {
-        let mut stated = bodies.iter().flat_map(|body| &body.joints);
-        let is_refused = !context.blockers.is_empty()
-            && stated.any(|(stated, _)| stated.text("name") == Some(name));
-        let reason = format!("no hinge or slide has the name `{name}`; state its name");
-        return if is_refused { Ok(None) } else { Err(element.refuse_for(attribute, reason)) };
-    };
-    Ok(Some(Driven {
+    let known = joints::names(&links.plans);
+    let unknown = || context.unknown(element, attribute, ("hinge or slide", known));
+    let (index, hinge) = joints::find(&links.plans, name).ok_or_else(unknown)?;
+    Ok(Driven {
         name: name.to_owned(),
         moved: Combination::of_hinge(index),
         tendon: None,
@@ -186,7 +170,7 @@ fn driven(
         range: hinge.range,
         torque_range: hinge.torque_range,
         gear,
-    }))
+    })
 }
 
 /// Range of the control. A policy needs one, so a range that is not stated follows from those of the joint or the force.
@@ -209,7 +193,9 @@ fn control_range(
         _ => law.implied_range(driven, of_joint),
     };
     match range {
-        Some([low, high]) if low < high => Ok([low, high]),
+        Some(range) if matches!(range.map(|end| end as f32), [low, high] if low < high) => {
+            Ok(range)
+        }
         Some([low, high]) => {
             let reason = format!("`ctrlrange` must ascend, is {low} to {high}");
             Err(element.refuse_for("ctrlrange", reason))
@@ -238,7 +224,8 @@ impl Law {
             return None;
         };
         let [a, b] = ends;
-        (a.is_finite() && b.is_finite()).then(|| [a.min(b), a.max(b)])
+        let fits = |end: f64| end.abs() <= LARGEST_CONTROL;
+        (fits(a) && fits(b)).then(|| [a.min(b), a.max(b)])
     }
 
     /// The feedback; `None` if the force is the control.
@@ -275,8 +262,8 @@ fn law(element: &Element, context: &Context) -> Result<Law, String> {
             }
             let kp = element.number("kp", 1.0)?;
             let (kv, ratio) = (element.number("kv", 0.0)?, element.number("dampratio", 0.0)?);
-            if ratio < 0.0 || (ratio > 0.0 && kv != 0.0) {
-                let reason = "`dampratio` must not be negative, nor stated with `kv`; remove one";
+            if ratio > 0.0 && kv != 0.0 {
+                let reason = "`dampratio` must not be stated with `kv`; remove one";
                 return Err(element.refuse_for("dampratio", reason));
             }
             // As in MuJoCo, a positive slope is a damping ratio.
@@ -299,7 +286,7 @@ fn general(element: &Element) -> Result<(f64, [f64; 3]), String> {
         return Err(element.refuse_for("dyntype", reason));
     }
     if word("gaintype", "fixed") != "fixed" {
-        return Err(element.refuse_for("gaintype", "`gaintype` must be fixed"));
+        return Err(element.refuse_for("gaintype", "`gaintype` must be fixed; set it"));
     }
     let mut one = [0.0; MOST_PARAMETERS];
     one[0] = 1.0;

@@ -10,8 +10,11 @@ const MOST_SHOWN: usize = 20;
 pub(super) struct Blockers(RefCell<Vec<String>>);
 
 impl Blockers {
-    /// Notes a reason.
+    /// Notes a reason; an empty one follows from another.
     pub(super) fn note(&self, reason: String) {
+        if reason.is_empty() {
+            return;
+        }
         let mut reasons = self.0.borrow_mut();
         // A default that cannot be built is one reason, however many elements it applies to.
         let cause = |reason: &str| {

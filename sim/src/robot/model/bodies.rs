@@ -1,7 +1,7 @@
 //! The tree of bodies as a list, and stated inertias.
 
 use super::super::blueprint::GroundPlan;
-use super::super::document::{Element, ORIENTATIONS, check_names};
+use super::super::document::{Element, ORIENTATIONS, check_names, check_unique};
 use super::super::folder::Folder;
 use super::super::frame::{Frame, IDENTITY};
 use super::super::inertia::Solid;
@@ -43,7 +43,7 @@ pub(super) fn flat(root: &Element, context: &Context) -> Result<Vec<Body>, Strin
         bodies[index].is_static =
             bodies[index].joints.is_empty() && bodies[bodies[index].parent].is_static;
     }
-    check_bodies(&bodies[1..], context);
+    check_bodies(&bodies, context);
     Ok(bodies)
 }
 
@@ -99,7 +99,8 @@ fn add_part(
         "body" => add_body(bodies, own, child, (childclass, frame), context)?,
         "frame" => {
             child.only(&[&["name", "childclass", "pos"], &ORIENTATIONS])?;
-            let frame = frame.then(&context.options.angles.frame(child)?);
+            let stated = context.blockers.keep(context.options.angles.frame(child));
+            let frame = frame.then(&stated.unwrap_or(IDENTITY));
             let childclass = child.text("childclass").or(childclass);
             fill(bodies, own, child, (childclass, frame), context);
         }
@@ -120,9 +121,9 @@ fn add_body(
     context.blockers.keep(element.only(&[&known, &ORIENTATIONS]));
     let index = bodies.len();
     let name = element.text("name").map_or_else(|| format!("body {index}"), str::to_owned);
-    let frame = frame.then(&context.options.angles.frame(element)?);
-    let mut body = new_body(element, name, parent, frame);
-    body.carried = element.number("gravcomp", 0.0)?;
+    let own = context.blockers.keep(context.options.angles.frame(element));
+    let mut body = new_body(element, name, parent, frame.then(&own.unwrap_or(IDENTITY)));
+    body.carried = context.blockers.keep(element.number("gravcomp", 0.0)).unwrap_or_default();
     bodies.push(body);
     let childclass = element.text("childclass").or(childclass);
     fill(bodies, index, element, (childclass, IDENTITY), context);
@@ -170,8 +171,9 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
             return Err(element.refuse("it has both `diaginertia` and `fullinertia`; remove one"));
         }
     };
-    if mass < 0.0 || solid.principal_moments().iter().any(|moment| *moment < 0.0) {
-        return Err(element.refuse("mass and inertia must not be negative"));
+    if solid.principal_moments().iter().any(|moment| *moment < 0.0) {
+        let reason = "the principal moments of `fullinertia` must not be negative; correct it";
+        return Err(element.refuse_for("fullinertia", reason));
     }
     let frame = frame.then(&options.angles.frame(element)?);
     solid = solid.turned(frame.rotation);
@@ -215,9 +217,12 @@ pub(super) fn take_grounds(
     grounds
 }
 
-/// Refuses two bodies or joints of the same name.
+/// Refuses two bodies, joints or shapes of the same name.
 fn check_bodies(bodies: &[Body], context: &Context) {
-    context.blockers.keep(check_names(bodies.iter().map(|body| &body.element)));
+    let named = bodies.iter().map(|body| (&body.element, body.name.as_str()));
+    context.blockers.keep(check_unique(named));
     let joints = bodies.iter().flat_map(|body| &body.joints).map(|(joint, _)| joint);
     context.blockers.keep(check_names(joints));
+    let shapes = bodies.iter().flat_map(|body| &body.geoms).map(|geom| &geom.element);
+    context.blockers.keep(check_names(shapes));
 }

@@ -42,16 +42,39 @@ pub(super) fn read(
     }
     rules.pairs.sort_by_key(|pair| pair.shapes);
     for element in of(root, "exclude") {
-        let body = |name: &str| {
-            let name = element.text(name);
-            bodies.iter().position(|body| Some(body.name.as_str()) == name)
-        };
-        // A name that is not found is that of a marker, which is skipped.
-        if let (Some(one), Some(other)) = (body("body1"), body("body2")) {
-            rules.excluded.push([one.min(other), one.max(other)]);
-        }
+        let excluded = exclusion(element, root, bodies);
+        rules.excluded.extend(context.blockers.keep(excluded).flatten());
     }
     rules
+}
+
+/// Bodies that do not touch; `None` if one is a marker, which is skipped.
+fn exclusion(
+    element: &Element,
+    root: &Element,
+    bodies: &[Body],
+) -> Result<Option<[usize; 2]>, String> {
+    element.only(&[&["name", "body1", "body2"]])?;
+    let body = |key: &str| {
+        let name = element.text(key);
+        let name = name.ok_or_else(|| element.refuse(format!("it must have `{key}`; add it")))?;
+        let index = bodies.iter().position(|body| body.name == name);
+        let is_marker = || root.all("worldbody").any(|world| states_body(world, name));
+        if index.is_none() && !is_marker() {
+            let known = bodies.iter().map(|body| body.name.as_str());
+            return Err(element.refuse_name(key, "body", known));
+        }
+        Ok(index)
+    };
+    let [one, other] = [body("body1")?, body("body2")?];
+    Ok(one.zip(other).map(|(one, other)| [one.min(other), one.max(other)]))
+}
+
+/// Whether a body inside this element has the name.
+fn states_body(element: &Element, name: &str) -> bool {
+    element.children.iter().any(|child| {
+        (child.tag == "body" && child.text("name") == Some(name)) || states_body(child, name)
+    })
 }
 
 fn pair(
@@ -66,8 +89,8 @@ fn pair(
         let name = name.ok_or_else(|| element.refuse(format!("it must have `{key}`; add it")))?;
         let index = shapes.iter().position(|(known, _)| *known == name);
         let found = index.and_then(|index| Some((index, shapes[index].1?)));
-        found
-            .ok_or_else(|| element.refuse(format!("no shape that can touch has the name `{name}`")))
+        let known = shapes.iter().filter(|(_, surface)| surface.is_some()).map(|(name, _)| *name);
+        found.ok_or_else(|| context.unknown(&element, key, ("shape that can touch", known)))
     };
     let ((first, one), (second, other)) = (shape("geom1")?, shape("geom2")?);
     let step_secs = context.options.timestep_secs;
@@ -93,9 +116,6 @@ fn stated(
     let margin = element.number("margin", f64::from(contact.margin))?;
     if ![1, 3, 4, 6].contains(&dimensions) {
         return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
-    }
-    if friction.iter().any(|mu| *mu < 0.0) || margin < 0.0 {
-        return Err(element.refuse("`friction` and `margin` must not be negative"));
     }
     let softness = Softness::new(solref, element.padded("solimp", solimp)?, step_secs);
     let plan =

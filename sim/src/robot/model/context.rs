@@ -17,6 +17,8 @@ pub(super) struct Context {
     pub(super) fields: BTreeMap<String, Element>,
     /// Names of the shapes in contact pairs.
     pub(super) paired: BTreeSet<String>,
+    /// All names in the document.
+    names: BTreeSet<String>,
     /// What cannot be built.
     pub(super) blockers: Blockers,
 }
@@ -30,6 +32,28 @@ impl Context {
         let meshes = Meshes::read(root, &classes, &options)?;
         let paired = contacts::paired(root);
         let fields = fields::read(root);
-        Ok((Self { classes, options, meshes, fields, paired, blockers }, left_out))
+        let mut names = BTreeSet::new();
+        collect_names(root, &mut names);
+        Ok((Self { classes, options, meshes, fields, paired, names, blockers }, left_out))
     }
+
+    /// Error message for an attribute that names no `kind`; `known` are the names of all. It is empty if the document states
+    /// the name, for an element that could not be read.
+    pub(super) fn unknown<'a>(
+        &self,
+        element: &Element,
+        attribute: &str,
+        (kind, known): (&str, impl IntoIterator<Item = &'a str>),
+    ) -> String {
+        let name = element.text(attribute).unwrap_or_default();
+        if !self.blockers.is_empty() && self.names.contains(name) {
+            return String::new();
+        }
+        element.refuse_name(attribute, kind, known)
+    }
+}
+
+fn collect_names(element: &Element, names: &mut BTreeSet<String>) {
+    names.extend(element.text("name").map(str::to_owned));
+    element.children.iter().for_each(|child| collect_names(child, names));
 }

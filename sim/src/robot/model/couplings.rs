@@ -76,10 +76,10 @@ fn fixed(
     let (mut terms, mut reference, mut at_springs) = (Vec::new(), 0.0, 0.0);
     for part in &element.children {
         part.only(&[&["joint", "coef"]])?;
-        let name = part.text("joint").ok_or_else(|| part.refuse("it must name a `joint`"))?;
-        let (index, hinge) = joints::find(links, name).ok_or_else(|| {
-            part.refuse(format!("no hinge or slide has the name `{name}`; state its name"))
-        })?;
+        let name =
+            part.text("joint").ok_or_else(|| part.refuse("it must name a `joint`; add it"))?;
+        let unknown = || context.unknown(part, "joint", ("hinge or slide", joints::names(links)));
+        let (index, hinge) = joints::find(links, name).ok_or_else(unknown)?;
         if terms.iter().any(|(other, _)| *other == index) {
             return Err(part.refuse("its tendon has this joint twice; add the two `coef` up"));
         }
@@ -99,7 +99,7 @@ fn fixed(
     if limited && range.is_none_or(|[low, high]| low >= high) {
         return Err(tendon.refuse_for("range", "`range` must have a lower and a higher end"));
     }
-    let number = |name: &str| joints::not_negative(tendon, name);
+    let number = |name: &str| joints::number(tendon, name);
     let slack = spring_length(tendon)?.map(|ends| ends.map(length));
     Ok(TendonPlan {
         name: tendon.text("name").unwrap_or_default().to_owned(),
@@ -176,8 +176,8 @@ fn connection(
         None => Ok(None),
         Some(name) => {
             let found = bodies.iter().position(|body| body.name == name).map(Some);
-            let reason = format!("no body has the name `{name}`; state its name");
-            found.ok_or_else(|| element.refuse_for(attribute, reason))
+            let known = bodies.iter().map(|body| body.name.as_str());
+            found.ok_or_else(|| context.unknown(element, attribute, ("body", known)))
         }
     };
     let [first, second] = [body("body1")?, body("body2")?.or(Some(0))];
@@ -185,6 +185,9 @@ fn connection(
     else {
         return Err(element.refuse("it must have `body1` and `anchor`; add them"));
     };
+    if first == second {
+        return Err(element.refuse("it connects a body with itself; name another `body2`"));
+    }
     let frames = rest_frames(&links.plans);
     let frame = |link: Option<usize>| link.map_or(Pose::IDENTITY, |link| frames[link]);
     let (link, inside) = links.homes[first];
@@ -234,14 +237,22 @@ fn equality(
     };
     let side = |attribute: &str| match element.text(attribute) {
         None => Ok(None),
-        Some(name) => {
-            let reason =
-                format!("no hinge, slide or fixed tendon has the name `{name}`; state its name");
-            coupled(name).map(Some).ok_or_else(|| element.refuse_for(attribute, reason))
-        }
+        Some(name) => coupled(name).map(Some).ok_or_else(|| match is_joint {
+            true => {
+                let known = joints::names(links);
+                context.unknown(element, attribute, ("hinge or slide", known))
+            }
+            false => {
+                let known = tendons.iter().map(|tendon| tendon.name.as_str());
+                context.unknown(element, attribute, ("fixed tendon", known))
+            }
+        }),
     };
     let [first, second] = if is_joint { ["joint1", "joint2"] } else { ["tendon1", "tendon2"] };
-    let missing = || element.refuse(format!("it must have `{first}`"));
+    let missing = || element.refuse(format!("it must have `{first}`; add it"));
+    if element.text(first) == element.text(second) && element.text(first).is_some() {
+        return Err(element.refuse(format!("`{first}` and `{second}` are the same; change one")));
+    }
     Ok(EqualityPlan {
         first: side(first)?.ok_or_else(missing)?,
         second: side(second)?,

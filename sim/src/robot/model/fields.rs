@@ -22,7 +22,8 @@ pub(super) fn field(
 ) -> Result<HeightField, String> {
     let name = geom.text("hfield").ok_or_else(|| geom.refuse("it names no `hfield`; add one"))?;
     let asset = fields.get(name);
-    let asset = asset.ok_or_else(|| geom.refuse(format!("there is no `hfield` `{name}`")))?;
+    let known = || fields.keys().map(String::as_str);
+    let asset = asset.ok_or_else(|| geom.refuse_name("hfield", "height field", known()))?;
     if asset.text("file").is_some() {
         let reason = "a file with heights is not supported; state `nrow`, `ncol` and `elevation`";
         return Err(asset.refuse(reason));

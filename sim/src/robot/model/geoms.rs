@@ -19,8 +19,6 @@ const KNOWN: [&str; 10] =
 /// Attributes without effect on the motion; `hfield` belongs to a type that is refused.
 const SKIPPED: [&str; 9] =
     ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale", "gap"];
-/// Largest size of a shape, m: the inertia of a larger one overflows.
-const LARGEST_SIZE: f64 = 1e4;
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 
@@ -117,9 +115,8 @@ impl Geom {
             return Err(element.refuse(reason));
         }
         let size = element.list("size")?.unwrap_or_default();
-        if size.len() > 3 || size.iter().any(|length| *length > LARGEST_SIZE) {
-            let most = format!("`size` must have at most 3 numbers, each at most {LARGEST_SIZE} m");
-            return Err(element.refuse(most));
+        if size.len() > 3 {
+            return Err(element.refuse_for("size", "`size` must have at most 3 numbers"));
         }
         let (count, after) = match self.kind() {
             "sphere" => (1, 1),
@@ -131,20 +128,22 @@ impl Geom {
             }
         };
         let needed = if self.ends.is_some() { after } else { count };
-        if size.len() < needed || size[..needed].iter().any(|length| *length as f32 <= 0.0) {
-            return Err(element.refuse(format!("`size` must have {needed} positive numbers")));
+        if size.len() < needed || size[..needed].contains(&0.0) {
+            let reason = format!("`size` must have {needed} positive numbers");
+            return Err(element.refuse_for("size", reason));
         }
         let size: Vec<f32> = size.iter().map(|length| *length as f32).collect();
         let Some(ends) = self.ends else {
             return Ok((form(self.kind(), &size), self.frame.pose()));
         };
         if self.kind() == "sphere" {
-            return Err(element.refuse("a sphere has no `fromto`"));
+            return Err(element.refuse_for("fromto", "a sphere has no `fromto`; remove it"));
         }
         // The direction matters for a box, whose other two axes turn with it.
         let ends = if count == 3 { [ends[1], ends[0]] } else { ends };
+        let same = "`fromto` names the same point twice; set two different ones";
         let (half_length, pose) =
-            between(ends).ok_or_else(|| element.refuse("`fromto` names the same point twice"))?;
+            between(ends).ok_or_else(|| element.refuse_for("fromto", same))?;
         let size = match count {
             2 => vec![size[0], half_length],
             _ => vec![size[0], size[0], half_length],
@@ -159,11 +158,12 @@ impl Geom {
         pose: &Pose,
         meshes: &Meshes,
     ) -> Result<Solid, String> {
-        let density = self.element.number("density", WATER)?;
         let mass = self.element.numbers::<1>("mass")?.map(|[mass]| mass);
-        if density < 0.0 || mass.is_some_and(|mass| mass < 0.0) {
-            return Err(self.element.refuse("mass and density must not be negative"));
-        }
+        let density = match self.element.number("density", WATER)? {
+            // A stated mass has the distribution of any density.
+            0.0 if mass.is_some() => WATER,
+            density => density,
+        };
         let solid = match *shape {
             Shape::Sphere { radius } => {
                 Solid::of_shape(&SharedShape::ball(radius), density as f32, pose)
@@ -183,11 +183,7 @@ impl Geom {
                 Solid::principal(mass, [y + z, z + x, x + y]).placed(pose)
             }
         };
-        match mass {
-            Some(_) if solid.mass <= 0.0 => Err(self.element.refuse("`density` must be positive")),
-            Some(mass) => Ok(solid.with_mass(mass)),
-            None => Ok(solid),
-        }
+        Ok(mass.map_or(solid, |mass| solid.with_mass(mass)))
     }
 
     /// The shape as one that is fixed to the world. `frame` is the frame of its body in the world, `body` the body's

@@ -2,7 +2,7 @@
 
 use super::super::blueprint::{FreeJoint, Hinge, HingeAxis, JointPlan, LinkPlan, Motion, Planar};
 use super::super::document::Element;
-use super::super::frame::{Frame, IDENTITY, rotated, vector};
+use super::super::frame::{Frame, IDENTITY, dot, rotated, vector};
 use super::super::softness::Softness;
 use super::bodies::Body;
 use super::context::Context;
@@ -29,12 +29,19 @@ const KNOWN: [&str; 19] = [
     "actuatorfrcrange",
 ];
 const SKIPPED: [&str; 3] = ["group", "user", "actuatorfrclimited"];
+/// Shortest axis that has a direction.
+const SHORTEST_AXIS: f64 = 1e-9;
 const PASSIVE: [&str; 4] = ["stiffness", "damping", "armature", "frictionloss"];
 
 /// The hinge or slide with this name, and its index among all.
 pub(super) fn find<'a>(links: &'a [LinkPlan], name: &str) -> Option<(usize, &'a Hinge)> {
     let mut hinges = links.iter().filter_map(LinkPlan::hinge).enumerate();
     hinges.find(|(_, hinge)| hinge.name == name)
+}
+
+/// Names of all hinges and slides.
+pub(super) fn names(links: &[LinkPlan]) -> impl Iterator<Item = &str> {
+    links.iter().filter_map(LinkPlan::hinge).map(|hinge| hinge.name.as_str())
 }
 
 /// Whether a joint is a free joint.
@@ -97,24 +104,19 @@ fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, St
             "`stiffness` of a free joint must be 0; use <freejoint/>, or set stiffness=\"0\" here";
         return Err(joint.refuse_for("stiffness", reason));
     }
-    let friction = not_negative(joint, "frictionloss")?;
+    let friction = number(joint, "frictionloss")?;
     Ok(FreeJoint {
         name: joint.text("name").unwrap_or(&body.name).to_owned(),
-        damping: not_negative(joint, "damping")?,
-        armature: not_negative(joint, "armature")?,
+        damping: number(joint, "damping")?,
+        armature: number(joint, "armature")?,
         friction: if context.options.has_friction { friction } else { 0.0 },
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
     })
 }
 
 /// Number of an attribute; 0 without it.
-pub(super) fn not_negative(joint: &Element, name: &str) -> Result<f32, String> {
-    match joint.number(name, 0.0)? {
-        number if number < 0.0 => {
-            Err(joint.refuse_for(name, format!("`{name}` must not be negative, is {number}")))
-        }
-        number => Ok(number as f32),
-    }
+pub(super) fn number(joint: &Element, name: &str) -> Result<f32, String> {
+    joint.number(name, 0.0).map(|number| number as f32)
 }
 
 /// Joints along x and z and about y, without forces and limits, as one joint.
@@ -134,7 +136,8 @@ fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
         if !same || !plain || !placed || hinge.range.is_some() {
             return Ok(None);
         }
-        names[index] = joint.text("name").unwrap_or("unnamed joint").to_owned();
+        let unnamed = || format!("{} joint {}", body.name, index + 1);
+        names[index] = joint.text("name").map_or_else(unnamed, str::to_owned);
         reference[index] = hinge.reference;
     }
     Ok(Some(Planar { names, reference }))
@@ -151,8 +154,8 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
     };
     let reference = angle(joint.number("ref", 0.0)?);
     let axis = joint.numbers("axis")?.unwrap_or([0.0, 0.0, 1.0]);
-    if axis == [0.0; 3] {
-        return Err(joint.refuse_for("axis", "`axis` has no direction"));
+    if dot(axis, axis) < SHORTEST_AXIS * SHORTEST_AXIS {
+        return Err(joint.refuse_for("axis", "`axis` has no direction; set one, such as 0 0 1"));
     }
     let anchor = joint.numbers("pos")?.unwrap_or([0.0; 3]);
     let (anchor, axis) = match *frame == IDENTITY {
@@ -172,12 +175,12 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         let reason = "`range` must have a lower and a higher end; set it, or limited=\"false\"";
         return Err(joint.refuse_for("range", reason));
     }
-    let margin = if limited { not_negative(joint, "margin")? } else { 0.0 };
+    let margin = if limited { number(joint, "margin")? } else { 0.0 };
     if range.is_some_and(|[low, high]| 2.0 * margin >= high - low) {
         let reason = "`margin` must be less than half the `range`; lower it";
         return Err(joint.refuse_for("margin", reason));
     }
-    let friction = not_negative(joint, "frictionloss")?;
+    let friction = number(joint, "frictionloss")?;
     Ok(Hinge {
         name,
         anchor: vector(anchor),
@@ -187,10 +190,10 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         range,
         margin,
         limit: softness(joint, ["solreflimit", "solimplimit"], context)?,
-        stiffness: not_negative(joint, "stiffness")?,
+        stiffness: number(joint, "stiffness")?,
         spring_rest: (angle(joint.number("springref", 0.0)?) - reference) as f32,
-        damping: not_negative(joint, "damping")?,
-        armature: not_negative(joint, "armature")?,
+        damping: number(joint, "damping")?,
+        armature: number(joint, "armature")?,
         friction: if context.options.has_friction { friction } else { 0.0 },
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
         torque_range: torque_range(joint)?,

@@ -1,7 +1,7 @@
 //! Keyframes: poses, motions and controls that a model names.
 
 use super::super::blueprint::Keyframe;
-use super::super::document::Element;
+use super::super::document::{Element, check_unique};
 use super::blockers::Blockers;
 
 const KNOWN: [&str; 8] = ["name", "time", "qpos", "qvel", "act", "ctrl", "mpos", "mquat"];
@@ -9,7 +9,10 @@ const KNOWN: [&str; 8] = ["name", "time", "qpos", "qvel", "act", "ctrl", "mpos",
 /// Reads all keyframes. Their lengths are checked where a task starts from one.
 pub(super) fn read(root: &Element, blockers: &Blockers) -> Vec<Keyframe> {
     let keys = root.all("keyframe").flat_map(|section| &section.children).enumerate();
-    keys.filter_map(|(index, key)| blockers.keep(keyframe(index, key))).collect()
+    let read = keys.filter_map(|(index, key)| Some((key, blockers.keep(keyframe(index, key))?)));
+    let read: Vec<(&Element, Keyframe)> = read.collect();
+    blockers.keep(check_unique(read.iter().map(|(key, frame)| (*key, frame.name.as_str()))));
+    read.into_iter().map(|(_, frame)| frame).collect()
 }
 
 fn keyframe(index: usize, key: &Element) -> Result<Keyframe, String> {

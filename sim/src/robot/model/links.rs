@@ -1,5 +1,7 @@
 //! The links of a robot: bodies with joints, and what is fixed to them.
 
+use std::ops::RangeInclusive;
+
 use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::MassProperties;
 
@@ -14,6 +16,11 @@ use super::joints;
 
 /// Distance of a free root's mass centre from its origin that counts as none, m.
 const LARGEST_OFFSET: f32 = 1e-5;
+
+/// Masses of bodies that move, kg, and their principal moments of inertia, kg m^2: products of others leave single
+/// precision.
+const MASSES: RangeInclusive<f32> = 1e-12..=1e9;
+const MOMENTS: RangeInclusive<f32> = 1e-15..=1e15;
 
 /// Links, their masses, and the lines of their joints.
 pub(super) struct Links<'a> {
@@ -201,11 +208,16 @@ impl<'a> Links<'a> {
                     self.bodies[index].map_or(std::ptr::null(), std::ptr::from_ref),
                     self.bodies[index + 1].map_or(std::ptr::null(), std::ptr::from_ref),
                 );
+            let (mass, moments) = (link.mass.mass(), link.mass.principal_inertia().to_array());
             if let Some(body) = self.bodies[index]
                 && !shared
-                && link.mass.inv_mass == 0.0
+                && !(MASSES.contains(&mass) && moments.iter().all(|own| MOMENTS.contains(own)))
             {
-                let reason = "a body that moves must have a mass; give it an `inertial` or a shape with a mass";
+                let [a, b, c] = moments;
+                let reason = format!(
+                    "a body that moves must have a mass of 1e-12 to 1e9 kg and moments of inertia of 1e-15 to 1e15 \
+                     kg m^2, it has {mass:e}, and {a:e}, {b:e} and {c:e}; set its `inertial` or shapes"
+                );
                 return Err(body.element.refuse(reason));
             }
         }

@@ -71,9 +71,13 @@ impl Meshes {
         geom: &Element,
         folder: &mut Folder<'_>,
     ) -> Result<Arc<Hull>, String> {
-        let name = geom.text("mesh").ok_or_else(|| geom.refuse("it names no `mesh`"))?;
+        let name = geom.text("mesh").ok_or_else(|| geom.refuse("it names no `mesh`; add one"))?;
+        if !self.assets.contains_key(name) {
+            let known = self.assets.keys().map(String::as_str);
+            return Err(geom.refuse_name("mesh", "mesh", known));
+        }
         let asset = self.assets.get_mut(name);
-        let asset = asset.ok_or_else(|| geom.refuse(format!("there is no mesh `{name}`")))?;
+        let asset = asset.ok_or_else(|| geom.refuse("its mesh is not loaded"))?;
         if let Some((_, hull)) = &asset.loaded {
             return Ok(Arc::clone(hull));
         }
@@ -94,7 +98,9 @@ impl Meshes {
             Some("exact") => Volume::Exact,
             Some("convex") => Volume::Convex,
             Some(kind) => {
-                return Err(asset.element.refuse(format!("inertia=\"{kind}\" is not supported")));
+                return Err(asset.element.refuse(format!(
+                    "inertia=\"{kind}\" is not supported; set legacy, exact or convex"
+                )));
             }
         };
         mesh.solid_of(volume, hull).map_err(|reason| asset.element.refuse(reason))
@@ -133,7 +139,7 @@ impl Asset {
             None => Mesh::new(self.points("vertex")?, self.triangles()?).map_err(refused)?,
         };
         if element.text("refpos").or(element.text("refquat")).is_some() {
-            return Err(element.refuse("`refpos` and `refquat` are not supported"));
+            return Err(element.refuse("`refpos` and `refquat` are not supported; remove them"));
         }
         Ok(mesh.scaled(element.numbers("scale")?.unwrap_or([1.0; 3])))
     }

@@ -34,6 +34,16 @@ const CHILDREN: [(&str, &[&str]); 4] = [
     ("asset", &["texture", "material", "mesh", "hfield", "skin", "model"]),
     ("contact", &["pair", "exclude"]),
 ];
+/// Sections and their attributes, where those of the section itself are not read elsewhere.
+const PLAIN: [(&str, &[&str]); 7] = [
+    ("asset", &[]),
+    ("worldbody", &["childclass"]),
+    ("actuator", &[]),
+    ("contact", &[]),
+    ("equality", &[]),
+    ("tendon", &[]),
+    ("keyframe", &[]),
+];
 const COMPILER: [&str; 22] = [
     "angle",
     "eulerseq",
@@ -199,9 +209,6 @@ impl Options {
             has_friction: constraints && friction,
             contacts: contact_rules(&option)?,
         };
-        if options.timestep_secs <= 0.0 {
-            return Err(option.refuse_for("timestep", "`timestep` must be positive"));
-        }
         if flags.flag("gravity")? == Some(false) {
             options.gravity = Vector::ZERO;
         }
@@ -220,7 +227,11 @@ fn merged(root: &Element) -> [Element; 3] {
 }
 
 fn check_sections(root: &Element, blockers: &Blockers) {
+    blockers.keep(root.only(&[&["model"]]));
     for section in &root.children {
+        if let Some((_, known)) = PLAIN.iter().find(|(tag, _)| *tag == section.tag) {
+            blockers.keep(section.only(&[known]));
+        }
         if !SECTIONS.contains(&section.tag.as_str()) {
             blockers.note(section.refuse("this element is not supported; remove it"));
         }
@@ -278,8 +289,13 @@ fn mass_source(compiler: &Element) -> Result<MassSource, String> {
 }
 
 fn mass_groups(compiler: &Element) -> Result<[i64; 2], String> {
-    let range = compiler.numbers::<2>("inertiagrouprange")?;
-    Ok(range.map_or(ALL_GROUPS, |range| range.map(|group| group as i64)))
+    match compiler.numbers::<2>("inertiagrouprange")? {
+        Some([first, last]) if first > last => {
+            let reason = "`inertiagrouprange` must ascend, such as 0 5";
+            Err(compiler.refuse_for("inertiagrouprange", reason))
+        }
+        range => Ok(range.map_or(ALL_GROUPS, |range| range.map(|group| group as i64))),
+    }
 }
 
 fn folder(compiler: &Element) -> String {
@@ -306,9 +322,6 @@ fn contact_rules(option: &Element) -> Result<ContactRules, String> {
         Some(_) => return Err(option.refuse_for("cone", "`cone` must be pyramidal or elliptic")),
     };
     let impratio = option.number("impratio", 1.0)?;
-    if impratio <= 0.0 {
-        return Err(option.refuse_for("impratio", "`impratio` must be positive"));
-    }
     Ok(ContactRules {
         cone,
         impratio,

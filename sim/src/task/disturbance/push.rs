@@ -3,7 +3,7 @@
 use rand::RngCore;
 use rapier3d::math::Vector;
 
-use super::super::definition::refused;
+use super::super::definition::{check_repeats, refused};
 use super::row::{PushRow, WorldAxis};
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
@@ -36,6 +36,7 @@ impl Push {
                 "{place}.axes is empty; write, for example, [\"x\", \"y\"]"
             )));
         }
+        check_repeats(&format!("{place}.axes"), &axes)?;
         let push = Self {
             link,
             force: row.force,

@@ -4,7 +4,7 @@ use rand::RngCore;
 use serde::Deserialize;
 
 use super::super::definition::{Noise, refused, within};
-use crate::error::SimError;
+use crate::error::{SimError, short};
 
 /// Largest delay, steps. A state has an action or a measurement for each.
 const LONGEST_DELAY: u32 = 20;
@@ -221,5 +221,6 @@ pub(in super::super) fn ascending(
     if low <= high && least <= low && high <= most {
         return Ok(());
     }
+    let [low, high, least, most] = [low, high, least, most].map(short);
     Err(refused(format!("{key} must be [low, high] in {least}..={most}, is [{low}, {high}]")))
 }
