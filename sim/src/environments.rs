@@ -88,6 +88,7 @@ fn rest(
         position,
         coordinates: robot.rest().to_vec(),
         velocities: vec![0.0; bounds.velocities],
+        activations: vec![0.0; bounds.activations.len()],
         actions: controls.take(bounds.actions).collect(),
         measurements: vec![0.0; bounds.measurements],
         draws: bounds.has_draws.then_some(draws),
@@ -176,6 +177,7 @@ impl EnvironmentBatch for RobotEnvironments {
         let mut state = rest(&self.robot, &self.bounds, &self.motors, position);
         let mut rng = generator(key, DrawPurpose::Start, 0);
         self.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
+        self.rules.start_activations(&mut state.activations);
         let is_disturbed = self.starts_disturbed();
         state.draws = self.bounds.has_draws.then_some(EpisodeDraws { key, is_disturbed });
         let bytes = state.to_bytes(&self.bounds.kind);
@@ -272,6 +274,7 @@ impl RobotEnvironments {
             environment.world.set_conditions(environment.drawn.conditions.clone());
         }
         environment.world.rebuild(&state.coordinates, &state.velocities);
+        environment.world.set_activations(&state.activations);
         environment.now = state;
         self.update_state(index);
     }
@@ -305,9 +308,11 @@ impl RobotEnvironments {
         let whole = environment.world.step(&self.controls);
         environment.world.coordinates(&mut self.next.coordinates);
         environment.world.velocities(&mut self.next.velocities);
+        environment.world.activations(&mut self.next.activations);
         let bounded = self.bounds.check_motion(&self.next.coordinates, &self.next.velocities);
         if !whole || bounded.is_err() {
             environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
+            environment.world.set_activations(&environment.now.activations);
             self.update_state(index);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }

@@ -145,7 +145,7 @@ pub enum StateError {
     /// A value is NaN or infinite.
     #[error("{field} {index} is not finite")]
     NotFinite {
-        /// `coordinate`, `velocity`, `action` or `measurement`.
+        /// `coordinate`, `velocity`, `activation`, `action` or `measurement`.
         field: &'static str,
         /// Index of the value.
         index: usize,
@@ -153,7 +153,7 @@ pub enum StateError {
     /// A value is out of bounds.
     #[error("{field} {index} is {value}; it must be between {low} and {high}")]
     Beyond {
-        /// `coordinate`, `velocity`, `action` or `measurement`.
+        /// `coordinate`, `velocity`, `activation`, `action` or `measurement`.
         field: &'static str,
         /// Index of the value.
         index: usize,
@@ -167,7 +167,7 @@ pub enum StateError {
     /// An integer value has a fraction.
     #[error("{field} {index} is {value}, not a whole number")]
     Fraction {
-        /// `coordinate`, `velocity`, `action` or `measurement`.
+        /// `coordinate`, `velocity`, `activation`, `action` or `measurement`.
         field: &'static str,
         /// Index of the value.
         index: usize,

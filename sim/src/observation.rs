@@ -139,14 +139,21 @@ pub(crate) fn near(
     let neighbourhood = robot.neighbourhood();
     let levels = neighbourhood.levels(own, config.nearest);
     let mut names: Vec<String> = Vec::new();
-    names.extend(levels[0].iter().map(|joint| format!("{joint}.position")));
-    names.extend(levels[0].iter().map(|joint| format!("{joint}.velocity")));
+    let feature = |kind: &'static str| move |name: &String| format!("{name}.{kind}");
+    for joint in &levels[0] {
+        names.extend(robot.numbers_of(joint)[0].iter().map(feature("position")));
+    }
+    for joint in &levels[0] {
+        names.extend(robot.numbers_of(joint)[1].iter().map(feature("velocity")));
+    }
     if config.contact_forces != ContactForces::Absent {
         let bodies = neighbourhood.bodies(&levels[0]);
         let of_body = |body: &str| CONTACT_NAMES.map(|part| contact_name(body, part));
         names.extend(bodies.into_iter().flat_map(of_body));
     }
-    names.extend(levels[1..].iter().flatten().map(|joint| format!("{joint}.position")));
+    for joint in levels[1..].iter().flatten() {
+        names.extend(robot.numbers_of(joint)[0].iter().map(feature("position")));
+    }
     if config.globals == RootView::Shown {
         names.extend(neighbourhood.globals.iter().cloned());
     }

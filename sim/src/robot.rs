@@ -1,5 +1,6 @@
 //! Robots. Each robot is built once as a template, from which all worlds are cloned.
 
+mod activation;
 mod actuator;
 mod assemble;
 mod blueprint;
@@ -21,18 +22,23 @@ mod surface;
 
 use serde::Deserialize;
 
+use activation::Activation;
+
 use crate::error::SimError;
 use crate::scene::{LinkShape, parts};
 use crate::state::StateBounds;
 
 pub use actuator::{Actuator, Torque};
-pub(crate) use assemble::{ShapeTag, Template, empty_world, floating_joint};
+pub(crate) use assemble::{
+    ShapeTag, Template, ball_joint, ball_rotation, empty_world, floating_joint,
+};
 pub(crate) use blueprint::{
     Blueprint, Cone, ContactRules, GroundForm, GroundPlan, JointPlan, Keyframe, Law, LinkPlan,
     MotorPlan, PairPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
+pub(crate) use frame::{product, turned, unit};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orientation};
 pub(crate) use neighbourhood::Neighbourhood;
 pub use one_document::one_document;
@@ -189,6 +195,21 @@ impl Robot {
         hinges.map(|hinge| (hinge.name.as_str(), hinge.range))
     }
 
+    /// Names of the ball joints and their largest angles from the rest pose (rad), if any.
+    pub fn balls(&self) -> impl Iterator<Item = (&str, Option<f32>)> {
+        let balls = self.blueprint.links.iter().filter_map(LinkPlan::ball);
+        balls.map(|ball| (ball.name.as_str(), ball.range.map(|[_, largest]| largest)))
+    }
+
+    /// Names of the coordinates and of the velocities of a hinge, slide or ball joint.
+    pub(crate) fn numbers_of(&self, joint: &str) -> [Vec<String>; 2] {
+        if !self.balls().any(|(name, _)| name == joint) {
+            return [vec![joint.to_owned()], vec![joint.to_owned()]];
+        }
+        let parts = |parts: &[&str]| parts.iter().map(|part| format!("{joint}.{part}")).collect();
+        [parts(&layout::QUATERNION), parts(&layout::TURNING)]
+    }
+
     /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
     pub fn hinge_units(&self) -> impl Iterator<Item = [&'static str; 2]> {
         self.layout.hinges.iter().map(layout::HingeMap::units)
@@ -240,12 +261,18 @@ impl Robot {
             coordinates: self.layout.coordinate_bounds.clone(),
             is_whole: false,
             velocities: self.layout.velocity_names.len(),
+            activations: self.activations().map(Activation::bounds).collect(),
             fastest: layout::FASTEST,
             actions: 0,
             measurements: 0,
             has_draws: false,
-            orientations: self.layout.orientations.iter().map(|own| own.coordinate).collect(),
+            orientations: self.layout.quaternions().collect(),
         }
+    }
+
+    /// Activations of the actuators that have one, in the model's order, `[m]`.
+    pub(crate) fn activations(&self) -> impl Iterator<Item = &Activation> {
+        self.blueprint.motors.iter().filter_map(|motor| motor.activation.as_ref())
     }
 
     pub(crate) fn neighbourhood(&self) -> &Neighbourhood {

@@ -1,7 +1,7 @@
 //! A complete environment state and its encoding, which actors exchange and checkpoints store.
 //!
 //! Little-endian: `s2st`, layout version u32, FNV-1a of the state's kind u32, episode u64, step u32, limit u32,
-//! coordinates f32 `[nq]`, velocities f32 `[nv]`, last actions f32 `[k, A]`, earlier measurements f32 `[d, M]`. If the
+//! coordinates f32 `[nq]`, velocities f32 `[nv]`, activations f32 `[m]`, last actions f32 `[k, A]`, earlier measurements f32 `[d, M]`. If the
 //! task draws a command or disturbances, then the episode's key (32 bytes) and u32 1 if it is disturbed, else 0.
 
 use proto::EpisodePosition;
@@ -40,6 +40,8 @@ pub struct State {
     pub coordinates: Vec<f32>,
     /// Generalised velocities `[nv]`, m/s and rad/s, in the order of [`crate::Robot::velocity_names`].
     pub velocities: Vec<f32>,
+    /// Activations of the actuators that have one, in the order of the model `[m]`.
+    pub activations: Vec<f32>,
     /// Controls of the last `k` steps, the newest first, not clamped, in the order of the joint action, `[k, A]`; at the
     /// start those of action 0. `k` is 0 unless the task's reward or its delays read them.
     pub actions: Vec<f32>,
@@ -63,6 +65,8 @@ pub struct StateBounds {
     pub is_whole: bool,
     /// Number of velocities `nv`.
     pub velocities: usize,
+    /// Lowest and highest value of each activation, `[m]`.
+    pub activations: Vec<[f32; 2]>,
     /// Largest velocity, m/s or rad/s.
     pub fastest: f32,
     /// Number of actions of the last steps `k A`.
@@ -80,7 +84,8 @@ impl State {
     pub fn to_bytes(&self, kind: &str) -> Vec<u8> {
         let EpisodePosition { episode, step, limit } = self.position;
         let motion = || self.coordinates.iter().chain(&self.velocities);
-        let numbers = || motion().chain(&self.actions).chain(&self.measurements);
+        let states = || motion().chain(&self.activations);
+        let numbers = || states().chain(&self.actions).chain(&self.measurements);
         let mut bytes = Vec::with_capacity(HEADER_BYTES + 4 * numbers().count() + DRAWS_BYTES);
         bytes.extend_from_slice(MARK);
         bytes.extend_from_slice(&STATE_VERSION.to_le_bytes());
@@ -112,6 +117,7 @@ impl State {
             body[HEADER_BYTES..].chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect();
         let (coordinates, rest) = numbers.split_at(bounds.coordinates.len());
         let (velocities, rest) = rest.split_at(bounds.velocities);
+        let (activations, rest) = rest.split_at(bounds.activations.len());
         let (actions, measurements) = rest.split_at(bounds.actions);
         let mut state = Self {
             position: EpisodePosition {
@@ -121,12 +127,18 @@ impl State {
             },
             coordinates: coordinates.to_vec(),
             velocities: velocities.to_vec(),
+            activations: activations.to_vec(),
             actions: actions.to_vec(),
             measurements: measurements.to_vec(),
             draws: None,
         };
         bounds.check_position(state.position)?;
         bounds.check_motion(&state.coordinates, &state.velocities)?;
+        for (index, (&value, &[low, high])) in
+            activations.iter().zip(&bounds.activations).enumerate()
+        {
+            check_number("activation", index, value, low, high)?;
+        }
         check_all("action", &state.actions, LARGEST_ACTION)?;
         check_all("measurement", &state.measurements, LARGEST_MEASUREMENT)?;
         if bounds.has_draws {
@@ -151,7 +163,7 @@ impl EpisodeDraws {
 impl StateBounds {
     /// Encoded size in bytes.
     pub fn bytes(&self) -> usize {
-        let motion = self.coordinates.len() + self.velocities;
+        let motion = self.coordinates.len() + self.velocities + self.activations.len();
         let draws = if self.has_draws { DRAWS_BYTES } else { 0 };
         HEADER_BYTES + 4 * (motion + self.actions + self.measurements) + draws
     }

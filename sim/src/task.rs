@@ -258,14 +258,16 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     let driven = driven.map(|joint| ("agents", joint));
     let near = robot.neighbourhood().edges.iter().flatten();
     for (key, joint) in driven.chain(near.map(|joint| ("neighbourhood.edges", joint.as_str()))) {
-        state.index(key, &format!("{joint}.position"))?;
+        for part in &robot.numbers_of(joint)[0] {
+            state.index(key, &format!("{part}.position"))?;
+        }
     }
     for name in &robot.neighbourhood().globals {
         state.index("neighbourhood.globals", name)?;
     }
     let bodies = Names::new("body", robot.bodies());
     for row in &robot.neighbourhood().touching {
-        let coordinate = format!("{}.position", row.joint);
+        let coordinate = format!("{}.position", robot.numbers_of(&row.joint)[0][0]);
         state.index("neighbourhood.touching.joint", &coordinate)?;
         row.bodies
             .iter()

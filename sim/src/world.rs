@@ -17,7 +17,9 @@ pub(crate) use constraints::Constraints;
 pub(crate) use contact_law::ContactLaw;
 pub(crate) use hinge_drives::HingeDrives;
 
-use crate::robot::{JointMap, Law, MapKind, Robot, empty_world, floating_joint};
+use crate::robot::{
+    JointMap, Law, MapKind, Robot, ball_joint, ball_rotation, empty_world, floating_joint,
+};
 use crate::scene::{JointPose, LinkPose, parts};
 
 /// What enforces contacts and limits, with its state.
@@ -90,10 +92,22 @@ impl World {
         // of an uninterrupted world.
         if self.substep() {
             self.write(coordinates, velocities);
+            self.drives.activations().for_each(|activation| *activation = 0.0);
         } else {
             // The motion is unstable and rapier has disabled bodies. The next real step must detect this itself.
             self.start(coordinates, velocities);
         }
+    }
+
+    /// Sets the activations of the motors that have one, `[m]`, which are 0 after a rebuild.
+    pub fn set_activations(&mut self, activations: &[f32]) {
+        let own = self.drives.activations();
+        own.zip(activations).for_each(|(own, activation)| *own = *activation);
+    }
+
+    /// Writes these activations.
+    pub fn activations(&mut self, out: &mut [f32]) {
+        out.iter_mut().zip(self.drives.activations()).for_each(|(out, own)| *out = *own);
     }
 
     /// Runs one environment step with one control per motor. Returns whether the state is still finite.
@@ -146,6 +160,7 @@ impl World {
             let (count, sign) = match joint.kind {
                 MapKind::Planar => (3, 1.0),
                 MapKind::Fixed => (0, 1.0),
+                MapKind::Ball => (3, 1.0),
                 MapKind::Free | MapKind::Floating => (6, 1.0),
                 MapKind::Hinge { sign, .. } => (1, sign),
             };
@@ -196,7 +211,7 @@ impl World {
     fn write(&mut self, coordinates: &[f32], velocities: &[f32]) {
         for index in 0..self.robot.layout().joints.len() {
             let joint = self.robot.layout().joints[index];
-            self.write_joint(&joint, coordinates, velocities);
+            self.write_joint(index, &joint, coordinates, velocities);
         }
         let index = self.robot.layout().multibody;
         let multibody = self.physics.multibody_joints.get_multibody_mut(index);
@@ -215,7 +230,14 @@ impl World {
     }
 
     /// The template's coordinates are zero, so a displacement from there sets them exactly.
-    fn write_joint(&mut self, joint: &JointMap, coordinates: &[f32], velocities: &[f32]) {
+    fn write_joint(
+        &mut self,
+        index: usize,
+        joint: &JointMap,
+        coordinates: &[f32],
+        velocities: &[f32],
+    ) {
+        let plan = &self.robot.blueprint().links[index];
         let index = self.robot.layout().multibody;
         let multibody = self.physics.multibody_joints.get_multibody_mut(index);
         let multibody = multibody.expect("the template holds the robot");
@@ -233,6 +255,12 @@ impl World {
             MapKind::Hinge { sign, .. } => {
                 link.joint.apply_displacement(&[sign * q[0]]);
                 (1, sign)
+            }
+            MapKind::Ball => {
+                let rotation = Rotation::from_xyzw(q[1], q[2], q[3], q[0]);
+                let data = plan.ball().map(|ball| ball_joint(plan, ball, rotation));
+                link.joint.data = data.expect("a map has the kind of its plan");
+                (3, 1.0)
             }
             MapKind::Floating => {
                 let rotation = Rotation::from_xyzw(q[4], q[5], q[6], q[3]);
@@ -295,6 +323,10 @@ fn read_coordinates(multibody: &Multibody, joint: &JointMap, out: &mut [f32]) {
             }
         }
         MapKind::Fixed => {}
+        MapKind::Ball => {
+            let [x, y, z, w] = ball_rotation(&link.joint().data).to_array();
+            out[..4].copy_from_slice(&[w, x, y, z]);
+        }
         MapKind::Hinge { axis, sign } => out[0] = sign * coords[axis] + 0.0,
         MapKind::Free | MapKind::Floating => {
             let rotation = match joint.kind {

@@ -256,26 +256,36 @@ fn links(robot: &Robot) -> String {
     text + &format!("total {:<16} {total:>9.4} kg", "")
 }
 
-/// Limits, control range and largest torque of each hinge.
+/// Limits, control range and largest torque of each joint.
 fn joints(robot: &Robot) -> String {
     let line = |((name, range), [unit, newtons]): ((&str, Option<[f32; 2]>), [&str; 2])| {
         let range = match range {
             Some([low, high]) => format!("{low} to {high} {unit}"),
             None => "no limits".to_owned(),
         };
-        let of_joint = robot.actuators().filter(|actuator| actuator.joint == name);
-        let motors: Vec<String> = of_joint.map(|actuator| motor(&actuator, newtons)).collect();
-        let motors = if motors.is_empty() { "no motor".to_owned() } else { motors.join("; ") };
-        format!("joint {name:<16} {range}, {motors}")
+        format!("joint {name:<16} {range}, {}", motors_of(robot, name, newtons))
     };
     let joints = robot.hinges().zip(robot.hinge_units()).map(line);
-    let is_tendon =
-        |actuator: &Actuator<'_>| robot.hinges().all(|(name, _)| name != actuator.joint);
+    let balls = robot.balls().map(|(name, largest)| {
+        let range = largest.map_or("no limits".to_owned(), |most| format!("up to {most} rad"));
+        format!("ball  {name:<16} {range}, {}", motors_of(robot, name, "N m"))
+    });
+    let is_tendon = |actuator: &Actuator<'_>| {
+        let joints = robot.hinges().map(|(name, _)| name);
+        joints.chain(robot.balls().map(|(name, _)| name)).all(|name| name != actuator.joint)
+    };
     let tendons = robot.actuators().filter(is_tendon).map(|actuator| {
         let (name, moved) = (actuator.joint, actuator.moved.join(", "));
         format!("tendon {name:<15} moves {moved}, {}", motor(&actuator, "N"))
     });
-    joints.chain(tendons).collect::<Vec<_>>().join("\n")
+    joints.chain(balls).chain(tendons).collect::<Vec<_>>().join("\n")
+}
+
+/// The motors of a joint.
+fn motors_of(robot: &Robot, joint: &str, newtons: &str) -> String {
+    let of_joint = robot.actuators().filter(|actuator| actuator.joint == joint);
+    let motors: Vec<String> = of_joint.map(|actuator| motor(&actuator, newtons)).collect();
+    if motors.is_empty() { "no motor".to_owned() } else { motors.join("; ") }
 }
 
 /// Kind, largest torque and control range of an actuator, and its name if that is not its joint's.

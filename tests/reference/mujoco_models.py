@@ -226,6 +226,42 @@ FOUR_BARS = """<mujoco>
 </mujoco>
 """
 
+# A chain of two ball joints off the axes of their bodies: with a spring, dry friction and motors, and with a limit.
+BALLS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <default><geom contype="0" conaffinity="0" type="capsule" size="0.02"/></default>
+  <worldbody>
+    <body pos="0 0 1" euler="0.3 -0.5 0.2"><joint name="neck" type="ball" pos="0.02 0 0.1" damping="0.05" armature="0.01"
+        stiffness="2" frictionloss="0.04"/><geom fromto="0 0 0 0.3 0.1 0" mass="0.5"/>
+      <body pos="0.3 0.1 0" quat="1 0.5 -0.2 0.7"><joint name="tail" type="ball" damping="0.01"{limit}/>
+        <geom fromto="0 0 0 0 0.2 0.1" mass="0.2"/>
+        <body pos="0 0.2 0.1"><joint name="tip" axis="0 1 1" damping="0.01"/><geom fromto="0 0 0 0.1 0 0" mass="0.1"/>
+        </body></body></body>
+  </worldbody>
+  <actuator><motor name="turn" joint="neck" gear="0.4 -0.2 0.3" ctrlrange="-9 9"/>
+    <position name="hold" joint="tail" kp="0.4" kv="0.02" gear="0 2 0" ctrlrange="-1 1"/>
+    <position name="lean" joint="tail" kp="0.2" gear="1 0 -1" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+# Two bodies that a weld holds together and one that another holds to the world, all hit by the speeds at the start.
+WELDS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <default><geom contype="0" conaffinity="0" type="box" size="0.1 0.05 0.03"/></default>
+  <worldbody>
+    <body name="a" pos="0 0 1"><freejoint/><geom mass="1" pos="0.1 0 0"/>
+      <body name="b" pos="0.2 0 0" euler="0 0.5 0"><joint name="j" axis="0 1 0" damping="0.1"/><geom mass="0.3"/>
+        <body name="c" pos="0.1 0 0" euler="0.4 0 0"><geom mass="0.2"/></body></body></body>
+    <body name="d" pos="0.5 0 1" quat="1 0.2 -0.4 0.3"><joint name="k" type="ball"/><geom mass="0.5" pos="0 0.1 0"/></body>
+  </worldbody>
+  <equality><weld body1="c" body2="d" anchor="-0.1 0 0.05" torquescale="0.2" {relpose}/>
+    <weld body1="a" solref="0.05 0.8" solimp="0.5 0.9 0.02"/></equality>
+  <actuator><motor joint="j" ctrlrange="-9 9"/></actuator>
+</mujoco>
+"""
+
 SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
 
 # Motions: a model, its velocities at the start, constant controls, and physics steps.
@@ -258,6 +294,22 @@ MOTIONS = {
         FINGERS.format(tendon=' frictionloss="0.4"', sections=PULL), [], [0.6], 500),
     "a servo of a tendon": (FINGERS.format(tendon="", sections=HOLD), [], [-0.9], 500),
     "four bars": (FOUR_BARS, [], [0.3], 350),
+    "ball joints": (BALLS.format(limit=""), [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "a limit of a ball joint": (
+        BALLS.format(limit=' range="0 0.4" margin="0.05" solreflimit="0.05 0.9"'),
+        [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "welds": (WELDS.format(relpose=""), [*SPIN, 2, 3, -2, 1], [0.5], 300),
+    "a weld in another pose": (
+        WELDS.format(relpose='relpose="0.3 0.02 0.1 1 0.1 -0.3 0.2" solref="0.1 1"'), [*SPIN, 2, 3, -2, 1], [0.5], 300),
+    "activations": (
+        ARM.format(body="", joint="", sections="""<actuator>
+          <position joint="j1" kp="20" timeconst="0.1" ctrlrange="-1 1"/>
+          <general joint="j1" dyntype="filter" dynprm="0.05" gainprm="3" ctrlrange="-1 1"/>
+          <general joint="j2" dyntype="integrator" actrange="-0.2 0.1" actearly="true" gainprm="10" biastype="affine"
+            biasprm="0 -10 -0.5" ctrlrange="-1 1"/></actuator>"""), [], [0.5, -0.3, 0.8], 300),
+    "joints with a spring and damper": (
+        BALLS.format(limit=' springdamper="0.2 0.3"').replace('axis="0 1 1"', 'axis="0 1 1" springdamper="0.5 0.7"'),
+        [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
     "two actuators": (
         ARM.format(body="", joint="", sections="""<actuator>
           <position joint="j1" kp="20" ctrlrange="-1 1"/><velocity joint="j1" kv="1" ctrlrange="-1 1"/>

@@ -8,9 +8,9 @@ use super::blueprint::MotorPlan;
 pub struct Actuator<'a> {
     /// Name of the actuator; that of its joint, unless the model states one or the joint has several.
     pub name: &'a str,
-    /// Name of the hinge, slide or tendon that it acts on.
+    /// Name of the joint or tendon that it acts on.
     pub joint: &'a str,
-    /// Names of the hinges and slides that it moves.
+    /// Names of the joints that it moves.
     pub moved: Vec<&'a str>,
     /// Range of its control.
     pub control: [f32; 2],
@@ -35,17 +35,21 @@ impl Robot {
             let only = motor.moved.only_hinge();
             let limit = only.and_then(|hinge| hinges[hinge].plan.torque_range).map(largest);
             let moved = motor.moved.0.iter().map(|(hinge, _)| hinges[*hinge].plan.name.as_str());
+            let mut moved: Vec<&str> = moved.collect();
+            moved.dedup();
             let torque = match motor.servo {
                 Some(servo) if servo.bias[1..] != [0.0; 2] => {
                     let own = servo.range.map(|range| motor.gear.abs() * largest(range));
                     Torque::Servo(own.into_iter().chain(limit).reduce(f32::min))
                 }
                 _ => {
-                    let ends = motor.range.map(|control| motor.torque(control).unwrap_or(0.0));
+                    let summed = motor.activation.filter(|_| motor.integrates());
+                    let inputs = summed.map_or(motor.range, |own| own.bounds());
+                    let ends = inputs.map(|input| motor.torque_of(input).unwrap_or(0.0));
                     Torque::Motor(limit.map_or(largest(ends), |limit| largest(ends).min(limit)))
                 }
             };
-            let (name, joint, moved) = (&motor.name, &motor.joint, moved.collect());
+            let (name, joint) = (&motor.name, &motor.joint);
             Actuator { name, joint, moved, control: motor.range, torque }
         })
     }
@@ -57,12 +61,17 @@ fn largest([a, b]: [f32; 2]) -> f32 {
 
 impl MotorPlan {
     /// Torque for a control, which is clamped to its range, without the joint's limit, N m; `None` if it also depends on
-    /// the robot's motion.
+    /// the robot's motion or on earlier controls.
     pub(crate) fn torque(&self, control: f32) -> Option<f32> {
         let control = control.clamp(self.range[0], self.range[1]);
-        let Some(servo) = self.servo else { return Some(self.gear * control) };
+        self.torque_of(control).filter(|_| self.activation.is_none())
+    }
+
+    /// Torque for a control or activation, without the joint's limit, N m; `None` if it also depends on the robot's motion.
+    fn torque_of(&self, input: f32) -> Option<f32> {
+        let Some(servo) = self.servo else { return Some(self.gear * input) };
         let [constant, stiffness, slope] = servo.bias;
-        let force = servo.gain * control + constant;
+        let force = servo.gain * input + constant;
         let force = servo.range.map_or(force, |[low, high]| force.clamp(low, high));
         (stiffness == 0.0 && slope == 0.0).then_some(self.gear * force)
     }

@@ -263,6 +263,7 @@ fn joint(link: &LinkPlan) -> Option<GenericJoint> {
             Some(builder.local_frame2(Pose::IDENTITY).contacts_enabled(false).build())
         }
         JointPlan::Hinge(hinge) => Some(hinge_joint(link, hinge)),
+        JointPlan::Ball(ball) => Some(ball_joint(link, ball, Rotation::IDENTITY)),
     }
 }
 
@@ -275,10 +276,32 @@ pub(crate) fn floating_joint(rotation: Rotation) -> GenericJoint {
         .build()
 }
 
+/// Ball joint in this rotation, which is a part of its frame: its velocities then are those about the axes of the link. Its
+/// user data has the quaternion, because products of rotations are rounded.
+pub(crate) fn ball_joint(link: &LinkPlan, ball: &Hinge, rotation: Rotation) -> GenericJoint {
+    let inside = Pose::from_translation(ball.anchor);
+    let bits = rotation.to_array().map(|number| u128::from(number.to_bits()));
+    GenericJointBuilder::new(JointAxesMask::LIN_AXES)
+        .local_frame1(link.rest * inside * Pose::from_rotation(rotation))
+        .local_frame2(inside)
+        .contacts_enabled(false)
+        .user_data(bits.into_iter().fold(0, |data, bits| (data << 32) | bits))
+        .build()
+}
+
+/// Rotation of a ball joint.
+pub(crate) fn ball_rotation(joint: &GenericJoint) -> Rotation {
+    let [x, y, z, w] =
+        [96, 64, 32, 0].map(|shift| f32::from_bits((joint.user_data >> shift) as u32));
+    Rotation::from_xyzw(x, y, z, w)
+}
+
 /// Builds a hinge without limits, which [`HingeDrives`](crate::world::HingeDrives) implements as springs.
 fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
     let masks = match hinge.motion {
-        Motion::Rotation => [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z],
+        Motion::Rotation | Motion::Ball => {
+            [JointAxesMask::ANG_X, JointAxesMask::ANG_Y, JointAxesMask::ANG_Z]
+        }
         Motion::Translation => [JointAxesMask::LIN_X, JointAxesMask::LIN_Y, JointAxesMask::LIN_Z],
     };
     let inside = Pose::from_parts(hinge.anchor, hinge.axis.frame);
@@ -317,6 +340,10 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
             JointPlan::Free(free) | JointPlan::Floating(free) => {
                 robot.damping_mut().rows_mut(map.dof, 6).fill(free.damping);
                 robot.armature_mut().rows_mut(map.dof, 6).fill(free.armature);
+            }
+            JointPlan::Ball(ball) => {
+                robot.damping_mut().rows_mut(map.dof, 3).fill(ball.damping);
+                robot.armature_mut().rows_mut(map.dof, 3).fill(ball.armature);
             }
             JointPlan::Fixed | JointPlan::Planar(_) => {}
         }

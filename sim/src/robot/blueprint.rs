@@ -5,6 +5,7 @@ mod contacts;
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
+use super::activation::{Activation, ActivationKind};
 use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan};
 use super::softness::{Integration, Softness, SoftnessOverride};
 use super::surface::{ContactOverride, Surface};
@@ -52,6 +53,8 @@ pub(crate) struct Keyframe {
     pub(crate) velocities: Vec<f64>,
     /// Controls of the actuators.
     pub(crate) controls: Vec<f64>,
+    /// Activations of the actuators that have one.
+    pub(crate) activations: Vec<f64>,
 }
 
 /// A link. Bodies without a joint are merged into the link of their parent.
@@ -98,6 +101,9 @@ pub(crate) enum JointPlan {
     Floating(FreeJoint),
     /// One rotation or translation relative to the parent link.
     Hinge(Hinge),
+    /// All rotations about a point of the parent link. Its terms are those of each of the three rotations about the axes of
+    /// the link; its range is that of the angle from the rest pose, from 0.
+    Ball(Hinge),
 }
 
 /// A free joint.
@@ -125,6 +131,8 @@ pub(crate) struct Planar {
 pub(crate) enum Motion {
     Rotation,
     Translation,
+    /// One of the three rotations of a ball joint.
+    Ball,
 }
 
 /// A hinge with its passive terms, or a slide, whose units are metres and newtons instead of radians and newton metres.
@@ -147,6 +155,8 @@ pub(crate) struct Hinge {
     pub(crate) stiffness: f32,
     /// Rest angle of the spring, rad.
     pub(crate) spring_rest: f32,
+    /// Time constant, s, and damping ratio that give stiffness and damping with the inertia of the rest pose.
+    pub(crate) spring_damper: Option<[f32; 2]>,
     /// N m s / rad.
     pub(crate) damping: f32,
     /// kg m^2.
@@ -203,6 +213,8 @@ pub(crate) struct MotorPlan {
     pub(crate) range: [f32; 2],
     /// `None` if the force is the control.
     pub(crate) servo: Option<Servo>,
+    /// What stands in place of the control in the force, if it has a state of its own.
+    pub(crate) activation: Option<Activation>,
 }
 
 /// Force of a motor with feedback: `gain c + bias . (1, q, v)`, where `q` and `v` are `gear` times the position and speed of
@@ -217,6 +229,11 @@ pub(crate) struct Servo {
 }
 
 impl MotorPlan {
+    /// Whether the force follows from the sum of all controls.
+    pub(crate) fn integrates(&self) -> bool {
+        self.activation.is_some_and(|own| own.kind == ActivationKind::Integrator)
+    }
+
     /// The motor with `strength` times its torque at every control and motion.
     pub(crate) fn strengthened(&self, strength: f32) -> Self {
         let mut motor = self.clone();
@@ -247,7 +264,18 @@ impl LinkPlan {
             JointPlan::Fixed
             | JointPlan::Planar(_)
             | JointPlan::Free(_)
-            | JointPlan::Floating(_) => None,
+            | JointPlan::Floating(_)
+            | JointPlan::Ball(_) => None,
+        }
+    }
+}
+
+impl LinkPlan {
+    /// The ball joint of the link, if that is its joint.
+    pub(crate) fn ball(&self) -> Option<&Hinge> {
+        match &self.joint {
+            JointPlan::Ball(ball) => Some(ball),
+            _ => None,
         }
     }
 }
@@ -261,7 +289,7 @@ impl Blueprint {
         }
         self.contacts.stated = contacts;
         for link in &mut self.links {
-            if let JointPlan::Hinge(hinge) = &mut link.joint {
+            if let JointPlan::Hinge(hinge) | JointPlan::Ball(hinge) = &mut link.joint {
                 hinge.limit = hinge.limit.with(limits);
             }
         }
@@ -282,12 +310,18 @@ impl Blueprint {
     /// The robot's root: the first link of the first tree with a motor, or of the first tree.
     pub(crate) fn root(&self) -> usize {
         let driven = self.motors.iter().flat_map(|motor| motor.moved.0.iter());
-        let mut links = 0..self.links.len();
-        let link = match driven.map(|(hinge, _)| *hinge).min() {
-            Some(hinge) => links.filter(|link| self.links[*link].hinge().is_some()).nth(hinge),
-            None => links.find(|link| !self.links[*link].is_base()),
-        };
+        let driven = driven.filter_map(|(hinge, _)| self.link_of(*hinge)).min();
+        let link = driven.or((0..self.links.len()).find(|link| !self.links[*link].is_base()));
         link.map_or(0, |link| self.tree_of(link))
+    }
+
+    /// Link of a rotation or translation by its index among all: those of hinges, then three of each ball joint.
+    fn link_of(&self, hinge: usize) -> Option<usize> {
+        let has_hinge = |link: &usize| self.links[*link].hinge().is_some();
+        let has_ball = |link: &usize| self.links[*link].ball().is_some();
+        let links = 0..self.links.len();
+        let turned = links.clone().filter(has_ball).flat_map(|link| [link; 3]);
+        links.filter(has_hinge).chain(turned).nth(hinge)
     }
 
     /// All shapes of the links, in order.

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use rapier3d::math::Vector;
+use rapier3d::math::{Rotation, Vector};
 
 use super::softness::Softness;
 
@@ -43,20 +43,25 @@ pub(crate) struct EqualityPlan {
     pub(crate) softness: Softness,
 }
 
-/// MuJoCo's equality `connect`: two points of links, or of a link and the world, that are at the same place.
+/// MuJoCo's equalities `connect` and `weld`: two points of links, or of a link and the world, that are at the same place,
+/// also in the same rotation if they are welded.
 #[derive(Clone, Debug)]
 pub(crate) struct ConnectionPlan {
-    pub(crate) ends: [ConnectedPoint; 2],
+    pub(crate) ends: [ConnectedFrame; 2],
+    /// Factor of the rotations' residuals, m, if the ends are welded.
+    pub(crate) torque_scale: Option<f64>,
     pub(crate) softness: Softness,
 }
 
-/// A point of a connection.
+/// An end of a connection.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ConnectedPoint {
+pub(crate) struct ConnectedFrame {
     /// Index of the link; `None` for the world.
     pub(crate) link: Option<usize>,
     /// In the link's frame, m.
     pub(crate) point: Vector,
+    /// In the link's frame; equal at both ends of a weld that holds.
+    pub(crate) rotation: Rotation,
     /// Mass centre of the body that the model connects, in the link's frame, m.
     pub(crate) mass_centre: Vector,
 }

@@ -21,7 +21,7 @@ impl Robot {
             let drive = Drive { motor, hinge, step_secs: self.physics_step_secs() as f32 };
             drive.fault().map(|why| format!("the motor of `{}` {why}", motor.joint))
         };
-        self.blueprint.motors.iter().filter_map(about).collect()
+        self.blueprint.motors.iter().filter(|motor| !motor.integrates()).filter_map(about).collect()
     }
 }
 

@@ -126,12 +126,14 @@ pub(super) fn rotated([x, y, z, w]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| v[i] + 2.0 * (w * once[i] + twice[i]))
 }
 
-fn unit(vector: [f64; 3]) -> Option<[f64; 3]> {
+/// The direction of a vector; `None` if it is too short to have one.
+pub(crate) fn unit(vector: [f64; 3]) -> Option<[f64; 3]> {
     let length = dot(vector, vector).sqrt();
     (length > 1e-12).then(|| vector.map(|x| x / length))
 }
 
-fn normalized(q: [f64; 4]) -> Option<[f64; 4]> {
+/// The unit quaternion in the direction of another; `None` if it is too short to have one.
+pub(super) fn normalized(q: [f64; 4]) -> Option<[f64; 4]> {
     let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
     let scale = 1.0 / length;
     (length > 1e-12).then(|| q.map(|x| x * scale))
@@ -171,8 +173,26 @@ fn from_axes(x: [f64; 3], y: [f64; 3]) -> Option<[f64; 4]> {
     Some(product(second, first))
 }
 
+/// A rotation followed by one about its own axes, by a rotation vector, rad.
+pub(crate) fn turned(rotation: Rotation, turn: [f32; 3]) -> Rotation {
+    let turn = turn.map(f64::from);
+    let start = rotation.to_array().map(f64::from);
+    let end = unit(turn).map(|axis| product(start, about(axis, dot(turn, turn).sqrt())));
+    let [x, y, z, w] = normalized(end.unwrap_or(start)).unwrap_or(start).map(|part| part as f32);
+    Rotation::from_xyzw(x, y, z, w)
+}
+
+/// The rotation vector of a rotation, at most a half turn, rad.
+pub(crate) fn rotation_vector(rotation: Rotation) -> [f64; 3] {
+    let [x, y, z, w] = rotation.to_array().map(f64::from);
+    let sin = dot([x, y, z], [x, y, z]).sqrt();
+    let angle = 2.0 * libm::atan2(sin, w);
+    let angle = if angle > std::f64::consts::PI { angle - std::f64::consts::TAU } else { angle };
+    if sin > 0.0 { [x, y, z].map(|part| part * angle / sin) } else { [0.0; 3] }
+}
+
 /// The rotation `b`, then `a`.
-fn product([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 4] {
+pub(crate) fn product([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 4] {
     [
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,

@@ -1,13 +1,16 @@
 //! Positions of a robot's coordinates and velocities in its multibody.
 
+mod inverses;
+
 use std::collections::BTreeSet;
 
-use rapier3d::dynamics::Multibody;
+use rapier3d::dynamics::MultibodyJoint;
 use rapier3d::math::Rotation;
 use rapier3d::prelude::*;
 
-use super::blueprint::{Blueprint, FreeJoint, Hinge, JointPlan, LinkPlan, Motion};
-use super::coupling::ConnectedPoint;
+use super::assemble::ball_rotation;
+use super::blueprint::{Blueprint, FreeJoint, Hinge, HingeAxis, JointPlan, LinkPlan, Motion};
+use super::frame::rotation_vector;
 
 /// Largest speed in a state, m/s or rad/s: ten times the speeds that the robots reach.
 pub(super) const FASTEST: f32 = 1e3;
@@ -16,13 +19,20 @@ const FARTHEST: f32 = 1e5;
 /// Largest violation of a hinge's limits in a state, rad or m.
 const LIMIT_SLACK: f32 = 3.0;
 
+/// Names of the parts of a quaternion among the coordinates.
+pub(super) const QUATERNION: [&str; 4] = ["qw", "qx", "qy", "qz"];
+/// Names of the parts of an angular velocity.
+pub(super) const TURNING: [&str; 3] = ["wx", "wy", "wz"];
+
 /// Layout of a robot's coordinates. The order is the model's, that of the bodies.
 pub(crate) struct Layout {
     pub(crate) multibody: MultibodyIndex,
     /// Joints, one per link of the blueprint.
     pub(crate) joints: Vec<JointMap>,
-    /// Hinges in the order of their links.
+    /// Hinges in the order of their links, then the three rotations of each ball joint.
     pub(crate) hinges: Vec<HingeMap>,
+    /// Ball joints in the order of their links.
+    pub(crate) balls: Vec<BallMap>,
     /// Mean inverse mass of each link's mass centre over three directions, in the rest pose, 1/kg: MuJoCo's
     /// `body_invweight0`.
     pub(crate) inverse_masses: Vec<f32>,
@@ -35,8 +45,9 @@ pub(crate) struct Layout {
     pub(crate) rest: Vec<f32>,
     /// For each tendon, its inverse inertia in the rest pose, 1/kg or 1/(kg m^2): MuJoCo's `tendon_invweight0`.
     pub(crate) tendon_inverses: Vec<f64>,
-    /// For each connection, the sum of the mean inverse masses of the mass centres of its bodies, in the rest pose, 1/kg.
-    pub(crate) connection_inverses: Vec<f64>,
+    /// For each connection, the sums of the mean inverse masses of the mass centres of its bodies, 1/kg, and of their inverse
+    /// inertias, 1/(kg m^2), in the rest pose.
+    pub(crate) connection_inverses: Vec<[f64; 2]>,
     /// Free joints with dry friction.
     pub(crate) free_frictions: Vec<FreeFriction>,
     /// Rotations of the free joints.
@@ -57,9 +68,14 @@ pub(crate) struct Orientation {
 impl Orientation {
     /// The rotation at these coordinates `[nq]`.
     pub(crate) fn rotation(self, coordinates: &[f32]) -> Rotation {
-        let [w, x, y, z] = std::array::from_fn(|k| coordinates[self.coordinate + k]);
-        Rotation::from_xyzw(x, y, z, w)
+        rotation_at(coordinates, self.coordinate)
     }
+}
+
+/// The rotation of the quaternion (w x y z) from this coordinate on.
+fn rotation_at(coordinates: &[f32], first: usize) -> Rotation {
+    let [w, x, y, z] = std::array::from_fn(|k| coordinates[first + k]);
+    Rotation::from_xyzw(x, y, z, w)
 }
 
 /// Joint of a link.
@@ -91,6 +107,19 @@ pub(crate) enum MapKind {
     Floating,
     /// One coordinate: the joint's coordinate `axis`, times `sign`.
     Hinge { axis: usize, sign: f32 },
+    /// Quaternion (w x y z); angular velocities about the axes of the link.
+    Ball,
+}
+
+/// A ball joint.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BallMap {
+    /// Index of the first of its three rotations in [`Layout::hinges`].
+    pub(crate) first: usize,
+    /// First coordinate of its quaternion (w x y z).
+    pub(crate) coordinate: usize,
+    /// Largest angle from the rest pose, if it is limited, rad.
+    pub(crate) largest: Option<f32>,
 }
 
 /// A hinge.
@@ -124,7 +153,17 @@ impl HingeMap {
     pub(crate) fn units(&self) -> [&'static str; 2] {
         match self.plan.motion {
             Motion::Translation => ["m", "N"],
-            Motion::Rotation => ["rad", "N m"],
+            Motion::Rotation | Motion::Ball => ["rad", "N m"],
+        }
+    }
+
+    /// Its position, m or rad; of a ball joint the part of the rotation vector.
+    pub(crate) fn position(&self, joint: &MultibodyJoint) -> f32 {
+        match self.plan.motion {
+            Motion::Ball => rotation_vector(ball_rotation(&joint.data))[self.axis - 3] as f32,
+            Motion::Rotation | Motion::Translation => {
+                self.plan.axis.sign * joint.coords()[self.axis]
+            }
         }
     }
 }
@@ -146,75 +185,24 @@ impl Layout {
         }
     }
 
+    /// First coordinates of all unit quaternions.
+    pub(crate) fn quaternions(&self) -> impl Iterator<Item = usize> {
+        let balls = self.balls.iter().map(|ball| ball.coordinate);
+        self.orientations.iter().map(|own| own.coordinate).chain(balls)
+    }
+
+    /// Position of the hinge with this index at these coordinates `[nq]`, m or rad.
+    pub(crate) fn hinge_position(&self, hinge: usize, coordinates: &[f32]) -> f32 {
+        let ball = self.balls.iter().find(|ball| (ball.first..ball.first + 3).contains(&hinge));
+        let Some(ball) = ball else { return coordinates[self.hinge_coordinate(hinge)] };
+        rotation_vector(rotation_at(coordinates, ball.coordinate))[hinge - ball.first] as f32
+    }
+
     /// First coordinate in a state of the hinge with this index.
     pub(crate) fn hinge_coordinate(&self, hinge: usize) -> usize {
         let hinges = self.joints.iter().filter(|joint| matches!(joint.kind, MapKind::Hinge { .. }));
         let found = hinges.map(|joint| joint.coordinate).nth(hinge);
         found.expect("hinges have the indices of the layout")
-    }
-
-    /// Computes inverse masses and inertias in the current pose of `robot`.
-    pub(super) fn set_inverse_masses(
-        &mut self,
-        blueprint: &Blueprint,
-        robot: &mut Multibody,
-        bodies: &RigidBodySet,
-    ) {
-        let inverse_inertias = robot.dof_inverse_inertia(bodies);
-        for hinge in &mut self.hinges {
-            hinge.inverse_inertia = inverse_inertias[hinge.dof];
-        }
-        for (index, (plan, joint)) in blueprint.links.iter().zip(&self.joints).enumerate() {
-            if let JointPlan::Free(free) | JointPlan::Floating(free) = &plan.joint
-                && free.friction > 0.0
-            {
-                let mean = |first: usize| inverse_inertias.rows(joint.dof + first, 3).mean();
-                let inverses = [0, 3].map(|first| f64::from(mean(first)));
-                let (link, dof) = (index, joint.dof);
-                let plan = free.clone();
-                self.free_frictions.push(FreeFriction { plan, link, dof, inverses });
-            }
-        }
-        for tendon in &blueprint.tendons {
-            let mut force = 0.0 * robot.generalized_velocity().clone_owned();
-            for (hinge, factor) in tendon.moved.0.iter() {
-                let hinge = &self.hinges[*hinge];
-                force[hinge.dof] += factor * hinge.plan.axis.sign;
-            }
-            let mut acceleration = force.clone();
-            robot.inv_augmented_mass().solve_mut(&mut acceleration);
-            self.tendon_inverses.push(f64::from(force.dot(&acceleration)));
-        }
-        let inverse_mass = |joint: &JointMap| {
-            let jacobian = robot.body_jacobian(joint.link);
-            let along = |row: usize| {
-                let force = jacobian.row(row).transpose();
-                let mut acceleration = force.clone();
-                robot.inv_augmented_mass().solve_mut(&mut acceleration);
-                force.dot(&acceleration)
-            };
-            (0..3).map(along).sum::<f32>() / 3.0
-        };
-        self.inverse_masses = self.joints.iter().map(inverse_mass).collect();
-        for connection in &blueprint.connections {
-            let inverse = |end: &ConnectedPoint| {
-                let (plan, joint) = (&blueprint.links[end.link?], &self.joints[end.link?]);
-                let link = robot.link(joint.link).expect("the layout is this robot's");
-                let turn = link.local_to_world().rotation;
-                let arm = turn * (end.mass_centre - plan.mass.local_com);
-                Some(shape_inverse(robot, joint.link, arm)[0])
-            };
-            let sum = connection.ends.iter().filter_map(inverse).sum();
-            self.connection_inverses.push(sum);
-        }
-        for (plan, joint) in blueprint.links.iter().zip(&self.joints) {
-            let link = robot.link(joint.link).expect("the layout is this robot's");
-            let turn = link.local_to_world().rotation;
-            for shape in &plan.shapes {
-                let arm = turn * (shape.mass_centre - plan.mass.local_com);
-                self.shape_inverses.push(shape_inverse(robot, joint.link, arm));
-            }
-        }
     }
 
     pub(super) fn new(
@@ -232,7 +220,23 @@ impl Layout {
             let dof = robot.link(link).ok_or_else(lost)?.assembly_id();
             layout.add_joint(plan, body, link, dof);
         }
+        for (index, plan) in blueprint.links.iter().enumerate() {
+            if let Some(ball) = plan.ball() {
+                layout.add_ball(ball, layout.joints[index]);
+            }
+        }
         Ok(layout)
+    }
+
+    fn add_ball(&mut self, plan: &Hinge, JointMap { link, dof, coordinate, .. }: JointMap) {
+        let (first, largest) = (self.hinges.len(), plan.range.map(|[_, largest]| largest));
+        self.balls.push(BallMap { first, coordinate, largest });
+        for free in 0..3 {
+            let axis = HingeAxis { free, sign: 1.0, frame: Rotation::IDENTITY };
+            let plan = Hinge { axis, range: None, ..plan.clone() };
+            let (dof, axis) = (dof + free, 3 + free);
+            self.hinges.push(HingeMap { plan, link, dof, axis, inverse_inertia: 0.0 });
+        }
     }
 
     fn empty(multibody: MultibodyIndex, root: usize) -> Self {
@@ -240,6 +244,7 @@ impl Layout {
             multibody,
             joints: Vec::new(),
             hinges: Vec::new(),
+            balls: Vec::new(),
             inverse_masses: Vec::new(),
             shape_inverses: Vec::new(),
             coordinate_names: Vec::new(),
@@ -280,12 +285,17 @@ impl Layout {
                 self.add_number(hinge.name.clone(), bounds, hinge.reference, 0.0);
                 self.velocity_names.push(hinge.name.clone());
                 let axis = match hinge.motion {
-                    Motion::Rotation => 3 + hinge.axis.free,
+                    Motion::Rotation | Motion::Ball => 3 + hinge.axis.free,
                     Motion::Translation => hinge.axis.free,
                 };
                 let plan = hinge.clone();
                 self.hinges.push(HingeMap { plan, link, dof, axis, inverse_inertia: 0.0 });
                 MapKind::Hinge { axis, sign: hinge.axis.sign }
+            }
+            JointPlan::Ball(ball) => {
+                self.add_quaternion(&ball.name, Rotation::IDENTITY);
+                self.velocity_names.extend(TURNING.map(|axis| format!("{}.{axis}", ball.name)));
+                MapKind::Ball
             }
         };
         self.joints.push(JointMap { body, link, dof, coordinate, velocity, kind });
@@ -298,12 +308,16 @@ impl Layout {
         }
         let (coordinate, velocity) = (self.coordinate_names.len(), self.velocity_names.len() + 3);
         self.orientations.push(Orientation { coordinate, velocity });
-        let [x, y, z, w] = plan.rest.rotation.to_array();
-        for (axis, rest) in ["qw", "qx", "qy", "qz"].iter().zip([w, x, y, z]) {
-            self.add_number(format!("{name}.{axis}"), [-1.001, 1.001], 0.0, rest);
-        }
-        for axis in ["x", "y", "z", "wx", "wy", "wz"] {
+        self.add_quaternion(name, plan.rest.rotation);
+        for axis in ["x", "y", "z"].into_iter().chain(TURNING) {
             self.velocity_names.push(format!("{name}.{axis}"));
+        }
+    }
+
+    fn add_quaternion(&mut self, name: &str, rest: Rotation) {
+        let [x, y, z, w] = rest.to_array();
+        for (axis, rest) in QUATERNION.iter().zip([w, x, y, z]) {
+            self.add_number(format!("{name}.{axis}"), [-1.001, 1.001], 0.0, rest);
         }
     }
 
@@ -313,21 +327,4 @@ impl Layout {
         self.reference.push(reference);
         self.rest.push(rest);
     }
-}
-
-/// Mean inverse mass and inertia of a point of a link, `arm` from the link's mass centre, over three directions.
-fn shape_inverse(robot: &Multibody, link: usize, arm: Vector) -> [f64; 2] {
-    let jacobian = robot.body_jacobian(link);
-    let response = |force: Vector, torque: Vector| {
-        let parts = force.to_array().into_iter().chain(torque.to_array());
-        let rows = parts.enumerate().map(|(row, part)| jacobian.row(row).transpose() * part);
-        let pull = rows.reduce(|sum, part| sum + part).expect("a wrench has six numbers");
-        let mut acceleration = pull.clone();
-        robot.inv_augmented_mass().solve_mut(&mut acceleration);
-        f64::from(pull.dot(&acceleration))
-    };
-    let axes = [Vector::X, Vector::Y, Vector::Z];
-    let moved = axes.map(|axis| response(axis, arm.cross(axis)));
-    let turned = axes.map(|axis| response(Vector::ZERO, axis));
-    [moved, turned].map(|numbers| numbers.iter().sum::<f64>() / 3.0)
 }

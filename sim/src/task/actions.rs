@@ -24,7 +24,7 @@ pub(super) fn control_ranges(
     let pose = rules.start_pose(robot).0;
     let range = |(index, motor): (usize, &MotorPlan)| {
         let [low, high] = motor.range;
-        let at = |hinge| pose[robot.layout().hinge_coordinate(hinge)];
+        let at = |hinge| robot.layout().hinge_position(hinge, &pose);
         let held = held_control(motor, motor.moved.sum(at));
         let stated = rules.start_control(index);
         let middle = stated.or(held).unwrap_or(low / 2.0 + high / 2.0).clamp(low, high);
@@ -36,7 +36,7 @@ pub(super) fn control_ranges(
 
 /// Control with which a servo of the position rests at a position; `None` for other motors.
 fn held_control(motor: &MotorPlan, position: f32) -> Option<f32> {
-    let servo = motor.servo?;
+    let servo = motor.servo.filter(|_| !motor.integrates())?;
     let [constant, stiffness, _] = servo.bias;
     (stiffness != 0.0 && servo.gain != 0.0)
         .then(|| -(constant + stiffness * motor.gear * position) / servo.gain)

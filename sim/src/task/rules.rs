@@ -104,6 +104,11 @@ impl Rules {
         self.start.randomise(rng, coordinates, velocities);
     }
 
+    /// Sets activations `[m]` to those of a keyframe that the episode starts from.
+    pub(crate) fn start_activations(&self, activations: &mut [f32]) {
+        self.start.set_activations(activations);
+    }
+
     /// Reward of a step: the sum of the rewards minus the sum of the costs.
     pub(crate) fn reward(&self, step: &Transition<'_>) -> f32 {
         self.reward.value(step) - self.cost.value(step)

@@ -24,6 +24,8 @@ pub(super) struct Start {
     speeds: Vec<(usize, f32)>,
     /// Controls of a keyframe, in the order of the model's actuators; empty without any.
     controls: Vec<f32>,
+    /// Activations of a keyframe; empty without any.
+    activations: Vec<f32>,
     /// First coordinate of each unit quaternion.
     orientations: Vec<usize>,
     positions: Option<Noise>,
@@ -48,6 +50,9 @@ impl Start {
         {
             let name = &robot.velocity_names()[*index];
             return Err(refused(format!("start.keyframe: the speed of `{name}` is {speed}")));
+        }
+        for (activation, [low, high]) in start.activations.iter().zip(&bounds.activations) {
+            within("start.keyframe (an activation)", *activation, *low, *high)?;
         }
         farthest("start.velocities", start.velocities, bounds.fastest)?;
         let reach = farthest("start.positions", start.positions, bounds.fastest)?;
@@ -88,6 +93,11 @@ impl Start {
         self.controls.get(motor).copied()
     }
 
+    /// Sets activations `[m]` to those of the keyframe, if it has any.
+    pub(super) fn set_activations(&self, activations: &mut [f32]) {
+        activations.iter_mut().zip(&self.activations).for_each(|(to, stated)| *to = *stated);
+    }
+
     /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise.
     /// Quaternions are normalised.
     pub(super) fn randomise(
@@ -118,12 +128,13 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     let keyframes = &robot.blueprint().keyframes;
     let known: Vec<String> = keyframes.iter().map(|keyframe| keyframe.name.clone()).collect();
     let index = Names::new("keyframe", &known).index("start.keyframe", name)?;
-    let Keyframe { positions, velocities, controls, .. } = &keyframes[index];
+    let Keyframe { positions, velocities, controls, activations, .. } = &keyframes[index];
     let motors = robot.blueprint().motors.len();
     for (key, list, count) in [
         ("qpos", positions, robot.rest().len()),
         ("qvel", velocities, robot.velocity_names().len()),
         ("ctrl", controls, motors),
+        ("act", activations, robot.activations().count()),
     ] {
         let found = list.len();
         if found != count && found != 0 {
@@ -145,6 +156,7 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
         coordinates: positions.enumerate().collect(),
         speeds: speeds.into_iter().enumerate().collect(),
         controls: single(controls),
+        activations: single(activations),
         ..Start::default()
     })
 }

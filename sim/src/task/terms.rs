@@ -302,7 +302,7 @@ pub(super) fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError
     match root.kind {
         MapKind::Free | MapKind::Floating => Ok(RootTilt::Free(root.coordinate + 3)),
         MapKind::Planar => Ok(RootTilt::Planar(root.coordinate + 2)),
-        MapKind::Fixed | MapKind::Hinge { .. } => {
+        MapKind::Fixed | MapKind::Hinge { .. } | MapKind::Ball => {
             Err(refused(format!("{place} needs a root that can tilt")))
         }
     }

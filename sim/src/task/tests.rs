@@ -1,5 +1,7 @@
 //! Task files: the example, the terms by hand, and refusals.
 
+mod activations;
+mod balls;
 mod commands;
 mod disturbances;
 mod hostile;

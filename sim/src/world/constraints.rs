@@ -20,8 +20,9 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::{PairFilterContext, PhysicsHooks, PhysicsWorld, SolverFlags};
 
 use super::{HingeDrives, place};
-use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, Softness};
+use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, Softness, unit};
 use contacts::Touching;
+use matrix::dot;
 use motion::{Motion, move_joint};
 use problem::{ConstraintProblem, Kind};
 
@@ -89,7 +90,7 @@ impl Constraints {
         self.change.iter_mut().for_each(|change| *change *= self.step_secs);
         matrix::factorise(&mut self.implicit_mass, self.change.len());
         matrix::substitute(&self.implicit_mass, &mut self.change);
-        self.apply(layout, physics)
+        self.apply(robot, physics)
     }
 
     /// Computes the mass matrix and the forces without constraints.
@@ -121,6 +122,16 @@ impl Constraints {
             add_limit(&mut self.problem, &self.start.speeds, hinge, *position, rule);
             add_dry_friction(&mut self.problem, &self.start.speeds, hinge, rule);
         }
+        for ball in &layout.balls {
+            let first = &layout.hinges[ball.first];
+            let turn = [0, 1, 2].map(|k| self.start.hinges[ball.first + k]);
+            let (Some(largest), Some(axis)) = (ball.largest, unit(turn)) else { continue };
+            let distance = f64::from(largest - first.plan.margin) - dot(&turn, &axis);
+            if distance < 0.0 {
+                let inward = axis.map(|part| -part);
+                add_end(&mut self.problem, &self.start.speeds, (first, &inward), distance, rule);
+            }
+        }
         couplings::add(&mut self.problem, &self.start, robot, rule);
         for free in &layout.free_frictions {
             add_free_friction(&mut self.problem, &self.start, free, rule);
@@ -129,7 +140,8 @@ impl Constraints {
     }
 
     /// Adds the change to the velocities, and moves the robot with them.
-    fn apply(&mut self, layout: &Layout, physics: &mut PhysicsWorld) -> bool {
+    fn apply(&mut self, robot: &Robot, physics: &mut PhysicsWorld) -> bool {
+        let layout = robot.layout();
         let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
         let mut speeds = multibody.generalized_velocity_mut();
@@ -140,8 +152,9 @@ impl Constraints {
         if speeds.iter().any(|speed| !speed.is_finite()) {
             return false;
         }
-        for (map, start) in layout.joints.iter().zip(&self.start.links) {
-            move_joint(multibody, map, start, self.step_secs as f32);
+        let joints = layout.joints.iter().zip(&robot.blueprint().links);
+        for (joint, start) in joints.zip(&self.start.links) {
+            move_joint(multibody, joint, start, self.step_secs as f32);
         }
         multibody.forward_kinematics(&physics.bodies, false);
         place(physics, layout.multibody);
@@ -179,12 +192,25 @@ fn add_limit(
             continue;
         }
         let direction = inward * f64::from(hinge.plan.axis.sign);
-        problem.add_row()[hinge.dof] = direction;
-        let compliance = f64::from(hinge.plan.limit.compliance(-distance as f32));
-        let aim = rule.aim(&hinge.plan.limit, Some(distance), direction * speeds[hinge.dof]);
-        problem.set_row(aim, compliance * f64::from(hinge.inverse_inertia));
-        problem.close(Kind::Push);
+        add_end(problem, speeds, (hinge, &[direction]), distance, rule);
     }
+}
+
+/// Adds an end of a range that was passed by `-distance`. `inward` points back into it, along the velocities from that of
+/// `hinge` on.
+fn add_end(
+    problem: &mut ConstraintProblem,
+    speeds: &[f64],
+    (hinge, inward): (&HingeMap, &[f64]),
+    distance: f64,
+    rule: Rule,
+) {
+    let dofs = hinge.dof..hinge.dof + inward.len();
+    problem.add_row()[dofs.clone()].copy_from_slice(inward);
+    let compliance = f64::from(hinge.plan.limit.compliance(-distance as f32));
+    let aim = rule.aim(&hinge.plan.limit, Some(distance), dot(inward, &speeds[dofs]));
+    problem.set_row(aim, compliance * f64::from(hinge.inverse_inertia));
+    problem.close(Kind::Push);
 }
 
 fn add_dry_friction(problem: &mut ConstraintProblem, speeds: &[f64], hinge: &HingeMap, rule: Rule) {

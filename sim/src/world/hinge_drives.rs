@@ -17,14 +17,24 @@ pub(crate) struct HingeDrives {
     /// them.
     springs: Vec<Option<Spring>>,
     step_secs: f32,
-    /// Motors with their controls, in the order of [`Blueprint::motors`].
-    motors: Vec<(MotorPlan, f32)>,
+    /// In the order of [`Blueprint::motors`].
+    motors: Vec<Motor>,
     /// Damping of the hinges, N m s / rad, in the order of [`Layout::hinges`].
     dampings: Vec<f32>,
     /// Tendons with a spring or a damper.
     tendons: Vec<TendonPlan>,
     /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
+}
+
+/// A motor with its state.
+#[derive(Clone, Debug)]
+struct Motor {
+    plan: MotorPlan,
+    /// Clamped.
+    control: f32,
+    /// 0 without one.
+    activation: f32,
 }
 
 /// Drive of one hinge. Angles, speeds and torques have the model's sign.
@@ -57,6 +67,16 @@ struct Limit {
     reference: f32,
 }
 
+impl Motor {
+    /// What its gain multiplies in a step, after which its activation is that at the end of the step.
+    fn step(&mut self, step_secs: f32) -> f32 {
+        let Some(own) = &self.plan.activation else { return self.control };
+        let before = self.activation;
+        self.activation = own.next(before, self.control, step_secs);
+        if own.is_early { self.activation } else { before }
+    }
+}
+
 impl HingeDrives {
     /// Creates drives at rest, for physics steps of `step_secs`.
     pub(crate) fn new(blueprint: &Blueprint, layout: &Layout, step_secs: f32) -> Self {
@@ -67,7 +87,11 @@ impl HingeDrives {
         Self {
             springs: layout.hinges.iter().map(spring).collect(),
             step_secs,
-            motors: blueprint.motors.iter().map(|motor| (motor.clone(), 0.0)).collect(),
+            motors: {
+                let still =
+                    |plan: &MotorPlan| Motor { plan: plan.clone(), control: 0.0, activation: 0.0 };
+                blueprint.motors.iter().map(still).collect()
+            },
             dampings: layout.hinges.iter().map(|hinge| hinge.plan.damping).collect(),
             tendons: {
                 let acts = |tendon: &&TendonPlan| tendon.stiffness > 0.0 || tendon.damping > 0.0;
@@ -80,8 +104,8 @@ impl HingeDrives {
     /// Sets the torques of the motors and the dampings of the hinges to these multiples of the model's.
     pub(crate) fn vary(&mut self, robot: &Robot, strengths: &[f32], dampings: &[f32]) {
         let plans = &robot.blueprint().motors;
-        for (((motor, _), plan), strength) in self.motors.iter_mut().zip(plans).zip(strengths) {
-            *motor = plan.strengthened(*strength);
+        for ((motor, plan), strength) in self.motors.iter_mut().zip(plans).zip(strengths) {
+            motor.plan = plan.strengthened(*strength);
         }
         let hinges = &robot.layout().hinges;
         for ((damping, hinge), factor) in self.dampings.iter_mut().zip(hinges).zip(dampings) {
@@ -89,21 +113,27 @@ impl HingeDrives {
         }
     }
 
-    /// Resets controls and past steps. Motors without feedback exert no torque until the next control.
+    /// Resets controls, activations and past steps. Motors without feedback exert no torque until the next control.
     pub(crate) fn clear(&mut self) {
         self.drives.fill(Drive::default());
-        self.motors.iter_mut().for_each(|(_, control)| *control = 0.0);
+        self.motors.iter_mut().for_each(|motor| (motor.control, motor.activation) = (0.0, 0.0));
+    }
+
+    /// Activations of the motors that have one, `[m]`.
+    pub(crate) fn activations(&mut self) -> impl Iterator<Item = &mut f32> {
+        let motors = self.motors.iter_mut().filter(|motor| motor.plan.activation.is_some());
+        motors.map(|motor| &mut motor.activation)
     }
 
     /// Sets the control of a motor, clamped to its range.
     pub(crate) fn command(&mut self, motor: usize, control: f32) {
-        let (motor, last) = &mut self.motors[motor];
-        *last = control.clamp(motor.range[0], motor.range[1]);
+        let motor = &mut self.motors[motor];
+        motor.control = control.clamp(motor.plan.range[0], motor.plan.range[1]);
     }
 
     /// The last control of a motor, clamped; 0 without one.
     pub(crate) fn control(&self, motor: usize) -> f32 {
-        self.motors[motor].1
+        self.motors[motor].control
     }
 
     /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A
@@ -111,7 +141,7 @@ impl HingeDrives {
     pub(crate) fn apply(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
         for (drive, hinge) in self.drives.iter_mut().zip(hinges) {
             let link = robot.link(hinge.link).expect("the layout is this robot's");
-            drive.angle = hinge.plan.axis.sign * link.joint().coords()[hinge.axis];
+            drive.angle = hinge.position(link.joint());
             drive.speed = hinge.plan.axis.sign * robot.generalized_velocity()[hinge.dof];
             drive.last_torque = drive.torque;
             (drive.torque, drive.damping) = (0.0, 0.0);
@@ -155,17 +185,19 @@ impl HingeDrives {
     /// the engine integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
     fn actuate(&mut self, hinges: &[HingeMap]) {
         let Self { motors, tendons, drives, .. } = self;
-        for (motor, control) in motors {
+        for motor in motors {
+            let input = motor.step(self.step_secs);
+            let motor = &motor.plan;
             let Some(servo) = motor.servo else {
                 for (hinge, factor) in motor.moved.0.iter() {
-                    drives[*hinge].torque += factor * (motor.gear * *control);
+                    drives[*hinge].torque += factor * (motor.gear * input);
                 }
                 continue;
             };
             let position = motor.gear * motor.moved.sum(|hinge| drives[hinge].angle);
             let speed = motor.gear * motor.moved.sum(|hinge| drives[hinge].speed);
             let [constant, stiffness, slope] = servo.bias;
-            let force = servo.gain * *control + constant + stiffness * position + slope * speed;
+            let force = servo.gain * input + constant + stiffness * position + slope * speed;
             let limited = servo.range.map_or(force, |[low, high]| force.clamp(low, high));
             let only = motor.moved.only_hinge().filter(|_| limited == force);
             if let Some(hinge) = only {

@@ -146,10 +146,10 @@ impl Blueprint {
         if !self.equalities.is_empty()
             || !self.connections.is_empty()
             || self.tendons.iter().any(has_limit)
-            || self.links.iter().any(|link| free(&link.joint) > 0.0)
+            || self.links.iter().any(|link| free(&link.joint) > 0.0 || link.ball().is_some())
         {
             return reason(
-                "needs a model without equalities, limits or friction of tendons, and friction of a free joint",
+                "needs a model without equalities, ball joints, limits or friction of tendons, and friction of a free joint",
             );
         }
         if self.contacts.cone == Cone::Elliptic {

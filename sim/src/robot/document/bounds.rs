@@ -19,7 +19,7 @@ const fn row(attributes: &'static [&'static str], [low, high]: [f64; 2]) -> Boun
     Bounds { attributes, low, high, smallest: 0.0, unit: "" }
 }
 
-const ALL: [Bounds; 17] = [
+const ALL: [Bounds; 19] = [
     Bounds { unit: " s", ..row(&["timestep"], [1e-5, 0.1]) },
     Bounds { unit: " m/s^2", ..row(&["gravity"], [-1e4, 1e4]) },
     Bounds { unit: " m", ..row(&["pos", "fromto", "anchor", "vertex"], [-1e4, 1e4]) },
@@ -35,6 +35,8 @@ const ALL: [Bounds; 17] = [
     Bounds { smallest: 1e-6, ..row(&["solref", "solreflimit", "solreffriction"], [-1e9, 1e9]) },
     row(&["solimp", "solimplimit", "solimpfriction", "friction"], [0.0, 1e6]),
     row(&["impratio"], [1e-6, 1e6]),
+    row(&["relpose", "torquescale"], [-1e4, 1e4]),
+    Bounds { smallest: 1e-6, ..row(&["springdamper", "timeconst"], [0.0, 1e6]) },
     row(&["gravcomp"], [-1e3, 1e3]),
     Bounds { smallest: 1e-9, ..row(&["gear", "coef", "kp", "kv"], [-LARGEST, LARGEST]) },
 ];

@@ -2,9 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use super::super::blueprint::{MotorPlan, Servo};
+use super::super::activation::{Activation, ActivationKind};
+use super::super::blueprint::{LinkPlan, MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan};
 use super::super::document::{Element, check_names};
+use super::activations;
 use super::context::Context;
 use super::joints;
 use super::links::Links;
@@ -31,8 +33,17 @@ const KNOWN: [&str; 17] = [
     "user",
     "timeconst",
 ];
-const GENERAL: [&str; 7] =
-    ["gaintype", "biastype", "gainprm", "biasprm", "dyntype", "dynprm", "actlimited"];
+const GENERAL: [&str; 9] = [
+    "gaintype",
+    "biastype",
+    "gainprm",
+    "biasprm",
+    "dyntype",
+    "dynprm",
+    "actlimited",
+    "actrange",
+    "actearly",
+];
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
@@ -113,12 +124,18 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
     }
     let driven = driven(element, context, parts)?;
     let law = law(element, context)?;
-    let range = control_range(element, &driven, &law, context)?;
+    let has_one_axis = driven.tendon.is_some() || driven.moved.only_hinge().is_some();
+    if law.bias[2] > 0.0 && !has_one_axis {
+        return Err(element.refuse("a damping ratio needs one axis of a ball joint; state `kv`"));
+    }
+    let activation = activations::read(element, context)?;
+    let range = control_range(element, &driven, (&law, activation.as_ref()), context)?;
     Ok(MotorPlan {
         name: String::new(),
         gear: driven.gear as f32,
         range: range.map(|end| end as f32),
         servo: law.servo(&driven),
+        activation,
         joint: driven.name,
         moved: driven.moved,
         tendon: driven.tendon,
@@ -142,7 +159,7 @@ fn driven(
             return Err(element.refuse("it acts on a `joint` and on something else; remove one"));
         }
     };
-    let gear = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?[0];
+    let [gear, y, z, ..] = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
     if attribute == "tendon" {
         let index = tendons.iter().position(|tendon| tendon.name == name);
         let known = tendons.iter().map(|tendon| tendon.name.as_str());
@@ -159,8 +176,17 @@ fn driven(
             gear,
         });
     }
-    let known = joints::names(&links.plans);
-    let unknown = || context.unknown(element, attribute, ("hinge or slide", known));
+    if let Some(first) = joints::find_ball(&links.plans, name) {
+        if attribute == "jointinparent" {
+            let reason =
+                "an actuator turns a ball joint about axes of the child; state it as `joint`";
+            return Err(element.refuse_for(attribute, reason));
+        }
+        return Ok(Driven::ball(name, first, [gear, y, z]));
+    }
+    let balls = links.plans.iter().filter_map(LinkPlan::ball).map(|ball| ball.name.as_str());
+    let known = joints::names(&links.plans).chain(balls);
+    let unknown = || context.unknown(element, attribute, ("hinge, slide or ball joint", known));
     let (index, hinge) = joints::find(&links.plans, name).ok_or_else(unknown)?;
     Ok(Driven {
         name: name.to_owned(),
@@ -173,11 +199,26 @@ fn driven(
     })
 }
 
+impl Driven {
+    /// A ball joint, of which an actuator turns the child about the axis `gear` in its own axes.
+    fn ball(name: &str, first: usize, gear: [f64; 3]) -> Self {
+        let parts = (first..).zip(gear).filter(|(_, part)| *part != 0.0);
+        let parts: Vec<(usize, f32)> = parts.map(|(hinge, part)| (hinge, part as f32)).collect();
+        let (moved, gear) = match parts.as_slice() {
+            [] => (Combination::of_hinge(first), 0.0),
+            [(hinge, part)] => (Combination::of_hinge(*hinge), f64::from(*part)),
+            _ => (Combination(parts.into()), 1.0),
+        };
+        let (name, tendon, range, torque_range) = (name.to_owned(), None, None, None);
+        Self { name, moved, tendon, reference: 0.0, range, torque_range, gear }
+    }
+}
+
 /// Range of the control. A policy needs one, so a range that is not stated follows from those of the joint or the force.
 fn control_range(
     element: &Element,
     driven: &Driven,
-    law: &Law,
+    (law, activation): (&Law, Option<&Activation>),
     context: &Context,
 ) -> Result<[f64; 2], String> {
     let inherited = element.number("inheritrange", 0.0)?;
@@ -190,6 +231,8 @@ fn control_range(
             Some([middle - half, middle + half])
         }
         (_, Some(range)) if limited.unwrap_or(context.options.autolimits) => Some(range),
+        // The sum of its controls has no such range.
+        _ if activation.is_some_and(|own| own.kind == ActivationKind::Integrator) => None,
         _ => law.implied_range(driven, of_joint),
     };
     match range {
@@ -255,11 +298,6 @@ fn law(element: &Element, context: &Context) -> Result<Law, String> {
     let (gain, bias) = match element.tag.as_str() {
         "motor" => (1.0, [0.0; 3]),
         "position" => {
-            if element.number("timeconst", 0.0)? != 0.0 {
-                let reason =
-                    "`timeconst` is not supported, since a state has no activations; set 0";
-                return Err(element.refuse_for("timeconst", reason));
-            }
             let kp = element.number("kp", 1.0)?;
             let (kv, ratio) = (element.number("kv", 0.0)?, element.number("dampratio", 0.0)?);
             if ratio > 0.0 && kv != 0.0 {
@@ -281,10 +319,6 @@ fn law(element: &Element, context: &Context) -> Result<Law, String> {
 
 fn general(element: &Element) -> Result<(f64, [f64; 3]), String> {
     let word = |name, default| element.text(name).unwrap_or(default);
-    if word("dyntype", "none") != "none" {
-        let reason = "actuators with an activation state are not supported; set dyntype=\"none\"";
-        return Err(element.refuse_for("dyntype", reason));
-    }
     if word("gaintype", "fixed") != "fixed" {
         return Err(element.refuse_for("gaintype", "`gaintype` must be fixed; set it"));
     }

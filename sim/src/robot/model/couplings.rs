@@ -4,10 +4,10 @@ use rapier3d::math::Pose;
 
 use super::super::blueprint::LinkPlan;
 use super::super::coupling::{
-    Combination, ConnectedPoint, ConnectionPlan, Coupled, EqualityPlan, TendonPlan,
+    Combination, ConnectedFrame, ConnectionPlan, Coupled, EqualityPlan, TendonPlan,
 };
 use super::super::document::{Element, check_names};
-use super::super::frame::vector;
+use super::super::frame::{Frame, normalized, vector};
 use super::bodies::Body;
 use super::context::Context;
 use super::joints;
@@ -38,6 +38,7 @@ const EQUALITY: [&str; 11] = [
 ];
 const CONNECTION: [&str; 9] =
     ["name", "class", "active", "solref", "solimp", "body1", "body2", "anchor", "user"];
+const WELD: [&str; 2] = ["relpose", "torquescale"];
 /// Terms that act on a spatial tendon.
 const PASSIVE: [&str; 5] = ["stiffness", "damping", "frictionloss", "range", "armature"];
 
@@ -137,21 +138,25 @@ pub(super) fn equalities(
     links: &[LinkPlan],
     tendons: &[TendonPlan],
 ) -> Vec<EqualityPlan> {
-    let elements = active(root, context).into_iter().filter(|element| element.tag != "connect");
+    let elements = active(root, context).into_iter().filter(|element| !is_connection(element));
     let read = |element: Element| equality(&element, context, links, tendons);
     elements.filter_map(|element| context.blockers.keep(read(element))).collect()
 }
 
-/// Reads all active equalities of points.
+/// Reads all active equalities of points and frames.
 pub(super) fn connections(
     root: &Element,
     context: &Context,
     bodies: &[Body],
     links: &Links<'_>,
 ) -> Vec<ConnectionPlan> {
-    let elements = active(root, context).into_iter().filter(|element| element.tag == "connect");
+    let elements = active(root, context).into_iter().filter(is_connection);
     let read = |element: Element| connection(&element, context, bodies, links);
     elements.filter_map(|element| context.blockers.keep(read(element))).collect()
+}
+
+fn is_connection(element: &Element) -> bool {
+    ["connect", "weld"].contains(&element.tag.as_str())
 }
 
 /// Active elements of the section, with the attributes of their classes.
@@ -171,7 +176,8 @@ fn connection(
     bodies: &[Body],
     links: &Links<'_>,
 ) -> Result<ConnectionPlan, String> {
-    element.only(&[&CONNECTION])?;
+    let is_weld = element.tag == "weld";
+    element.only(&[&CONNECTION, if is_weld { &WELD } else { &[] }])?;
     let body = |attribute: &str| match element.text(attribute) {
         None => Ok(None),
         Some(name) => {
@@ -181,8 +187,8 @@ fn connection(
         }
     };
     let [first, second] = [body("body1")?, body("body2")?.or(Some(0))];
-    let (Some(first), Some(second), Some(anchor)) = (first, second, element.numbers("anchor")?)
-    else {
+    let anchor = element.numbers("anchor")?.or(is_weld.then_some([0.0; 3]));
+    let (Some(first), Some(second), Some(anchor)) = (first, second, anchor) else {
         return Err(element.refuse("it must have `body1` and `anchor`; add them"));
     };
     if first == second {
@@ -190,19 +196,37 @@ fn connection(
     }
     let frames = rest_frames(&links.plans);
     let frame = |link: Option<usize>| link.map_or(Pose::IDENTITY, |link| frames[link]);
-    let (link, inside) = links.homes[first];
-    let point = inside * vector(anchor);
-    let place = frame(link) * point;
-    let other = links.homes[second].0;
-    let end = |link, point, body: usize| ConnectedPoint {
-        link,
-        point,
+    // The anchor is a point of the first body, that of a weld of the second, whose frame is the other end's.
+    let ([held, other], at) = match is_weld {
+        true => ([second, first], Pose::from_translation(vector(anchor))),
+        false => ([first, second], Pose::from_translation(vector(anchor))),
+    };
+    let end = |body: usize, inside: Pose| ConnectedFrame {
+        link: links.homes[body].0,
+        point: inside.translation,
+        rotation: inside.rotation,
         mass_centre: links.mass_centres[body],
     };
+    let held_end = end(held, links.homes[held].1 * at);
+    let other_end = match relative_pose(element)? {
+        Some(pose) => end(other, links.homes[other].1 * pose),
+        None => {
+            let place = frame(links.homes[held].0) * links.homes[held].1 * at;
+            end(other, frame(links.homes[other].0).inverse() * place)
+        }
+    };
     Ok(ConnectionPlan {
-        ends: [end(link, point, first), end(other, frame(other).inverse() * place, second)],
+        ends: if is_weld { [other_end, held_end] } else { [held_end, other_end] },
+        torque_scale: is_weld.then(|| element.number("torquescale", 1.0)).transpose()?,
         softness: joints::softness(element, ["solref", "solimp"], context)?,
     })
+}
+
+/// The `relpose` of a weld, the frame of the second body in the first; `None` for that of the rest pose.
+fn relative_pose(element: &Element) -> Result<Option<Pose>, String> {
+    let [x, y, z, w, a, b, c] = element.numbers("relpose")?.unwrap_or_default();
+    let rotation = normalized([a, b, c, w]);
+    Ok(rotation.map(|rotation| Frame { position: [x, y, z], rotation }.pose()))
 }
 
 /// Frames of the links in the world in the rest pose.
@@ -225,8 +249,8 @@ fn equality(
         "joint" => true,
         "tendon" => false,
         _ => {
-            let reason = "only equalities of joints, of fixed tendons and `connect` are supported; remove it, or set \
-                active=\"false\"";
+            let reason = "only equalities of joints, of fixed tendons, `connect` and `weld` are supported; remove it, or \
+                set active=\"false\"";
             return Err(element.refuse(reason));
         }
     };

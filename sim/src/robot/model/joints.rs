@@ -7,7 +7,7 @@ use super::super::softness::Softness;
 use super::bodies::Body;
 use super::context::Context;
 
-const KNOWN: [&str; 19] = [
+const KNOWN: [&str; 20] = [
     "name",
     "class",
     "type",
@@ -17,6 +17,7 @@ const KNOWN: [&str; 19] = [
     "limited",
     "stiffness",
     "springref",
+    "springdamper",
     "damping",
     "armature",
     "frictionloss",
@@ -42,6 +43,13 @@ pub(super) fn find<'a>(links: &'a [LinkPlan], name: &str) -> Option<(usize, &'a 
 /// Names of all hinges and slides.
 pub(super) fn names(links: &[LinkPlan]) -> impl Iterator<Item = &str> {
     links.iter().filter_map(LinkPlan::hinge).map(|hinge| hinge.name.as_str())
+}
+
+/// The first of the three rotations of the ball joint with this name, which follow all hinges.
+pub(super) fn find_ball(links: &[LinkPlan], name: &str) -> Option<usize> {
+    let hinges = links.iter().filter_map(LinkPlan::hinge).count();
+    let balls = links.iter().filter_map(LinkPlan::ball);
+    balls.enumerate().find(|(_, ball)| ball.name == name).map(|(ball, _)| hinges + 3 * ball)
 }
 
 /// Whether a joint is a free joint.
@@ -76,7 +84,10 @@ pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
             None if body.joints.len() == 1 => body.name.clone(),
             None => format!("{} joint {}", body.name, index + 1),
         };
-        hinge(&joint.0, &joint.1, name, context).map(JointPlan::Hinge)
+        match joint.0.text("type") {
+            Some("ball") => ball(&joint.0, &joint.1, name, context).map(JointPlan::Ball),
+            _ => hinge(&joint.0, &joint.1, name, context).map(JointPlan::Hinge),
+        }
     };
     let joints = body.joints.iter().enumerate();
     joints.filter_map(|joint| context.blockers.keep(read(joint))).collect()
@@ -85,9 +96,9 @@ pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
 fn check(joint: &Element) -> Result<(), String> {
     joint.only(&[&KNOWN, &SKIPPED])?;
     match joint.text("type") {
-        None | Some("hinge" | "slide" | "free") => Ok(()),
+        None | Some("hinge" | "slide" | "free" | "ball") => Ok(()),
         Some(kind) => {
-            let reason = format!("the type `{kind}` is not supported; use several hinges");
+            let reason = format!("the type `{kind}` must be hinge, slide, ball or free");
             Err(joint.refuse_for("type", reason))
         }
     }
@@ -99,7 +110,7 @@ fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, St
     } else {
         check(joint)?;
     }
-    if joint.number("stiffness", 0.0)? != 0.0 {
+    if joint.number("stiffness", 0.0)? != 0.0 || spring_damper(joint)?.is_some() {
         let reason =
             "`stiffness` of a free joint must be 0; use <freejoint/>, or set stiffness=\"0\" here";
         return Err(joint.refuse_for("stiffness", reason));
@@ -133,6 +144,7 @@ fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
         let placed = kind == "slide" || joint.numbers("pos")?.unwrap_or([0.0; 3]) == [0.0; 3];
         let same =
             joint.text("type").unwrap_or("hinge") == kind && along == axis && *frame == IDENTITY;
+        let plain = plain && hinge.spring_damper.is_none();
         if !same || !plain || !placed || hinge.range.is_some() {
             return Ok(None);
         }
@@ -143,13 +155,26 @@ fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
     Ok(Some(Planar { names, reference }))
 }
 
+/// A ball joint. As in MuJoCo, its spring rests in the rest pose, and `ref`, `axis` and `actuatorfrcrange` have no effect.
+fn ball(joint: &Element, frame: &Frame, name: String, context: &Context) -> Result<Hinge, String> {
+    let ball = hinge(joint, frame, name, context)?;
+    let range = ball.range.map(|ends| ends.map(|end| end + ball.reference));
+    if range.is_some_and(|[low, _]| low != 0.0) {
+        let reason =
+            "the `range` of a ball joint must start at 0; set it to 0 and the largest angle";
+        return Err(joint.refuse_for("range", reason));
+    }
+    Ok(Hinge { reference: 0.0, range, spring_rest: 0.0, torque_range: None, ..ball })
+}
+
 fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Result<Hinge, String> {
     let motion = match joint.text("type") {
         Some("slide") => Motion::Translation,
+        Some("ball") => Motion::Ball,
         _ => Motion::Rotation,
     };
     let angle = |number: f64| match motion {
-        Motion::Rotation => context.options.angles.radians(number),
+        Motion::Rotation | Motion::Ball => context.options.angles.radians(number),
         Motion::Translation => number,
     };
     let reference = angle(joint.number("ref", 0.0)?);
@@ -192,6 +217,7 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         limit: softness(joint, ["solreflimit", "solimplimit"], context)?,
         stiffness: number(joint, "stiffness")?,
         spring_rest: (angle(joint.number("springref", 0.0)?) - reference) as f32,
+        spring_damper: spring_damper(joint)?,
         damping: number(joint, "damping")?,
         armature: number(joint, "armature")?,
         friction: if context.options.has_friction { friction } else { 0.0 },
@@ -211,6 +237,17 @@ pub(super) fn softness(
     Softness::check(reference).map_err(|reason| joint.refuse_for(solref, reason))?;
     let impedance = joint.padded(solimp, impedance)?;
     Ok(Softness::new(reference, impedance, context.options.timestep_secs))
+}
+
+fn spring_damper(joint: &Element) -> Result<Option<[f32; 2]>, String> {
+    match joint.numbers("springdamper")?.map(|numbers| numbers.map(|number| number as f32)) {
+        None | Some([0.0, 0.0]) => Ok(None),
+        Some([time, ratio]) if time > 0.0 && ratio > 0.0 => Ok(Some([time, ratio])),
+        Some(_) => {
+            let reason = "`springdamper` must be a positive time constant and damping ratio";
+            Err(joint.refuse_for("springdamper", reason))
+        }
+    }
 }
 
 fn torque_range(joint: &Element) -> Result<Option<[f32; 2]>, String> {

@@ -23,5 +23,6 @@ fn keyframe(index: usize, key: &Element) -> Result<Keyframe, String> {
         positions: numbers("qpos")?,
         velocities: numbers("qvel")?,
         controls: numbers("ctrl")?,
+        activations: numbers("act")?,
     })
 }

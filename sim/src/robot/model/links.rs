@@ -104,7 +104,7 @@ impl<'a> Links<'a> {
         let (mut parent, mut rest) = (parent, rest);
         for (index, joint) in joints.into_iter().enumerate() {
             let name = match &joint {
-                JointPlan::Hinge(hinge) if index + 1 < count => {
+                JointPlan::Hinge(hinge) | JointPlan::Ball(hinge) if index + 1 < count => {
                     format!("{}.{}", body.name, hinge.name)
                 }
                 _ => body.name.clone(),

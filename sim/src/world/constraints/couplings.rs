@@ -1,9 +1,13 @@
 //! Constraints of tendons and equalities: limits and dry friction of tendons, and equalities of joints and tendons.
 
+use rapier3d::glamx::DVec3;
+
 use super::Rule;
-use super::motion::Motion;
+use super::motion::{LinkMotion, Motion, wide};
 use super::problem::{ConstraintProblem, Kind};
-use crate::robot::{Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan};
+use crate::robot::{
+    Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan, product,
+};
 
 /// Adds all constraints of a robot's tendons and equalities.
 pub(super) fn add(problem: &mut ConstraintProblem, start: &Motion, robot: &Robot, rule: Rule) {
@@ -73,10 +77,22 @@ fn add_equality(
     problem.close(Kind::Hold);
 }
 
+/// A row of a connection.
+struct Held {
+    /// Its violation, m.
+    off: f64,
+    /// Force and torque of unit size with which it holds its ends.
+    wrench: [DVec3; 2],
+    /// Rate of its speed while all velocities of the joints are constant, m/s^2.
+    drift: f64,
+    /// Inverse mass, 1/kg, or inertia, 1/(kg m^2).
+    inverse: f64,
+}
+
 fn add_connection(
     problem: &mut ConstraintProblem,
     start: &Motion,
-    (connection, inverse): (&ConnectionPlan, f64),
+    (connection, [inverse, turning_inverse]): (&ConnectionPlan, [f64; 2]),
     rule: Rule,
 ) {
     let links = connection.ends.map(|end| end.link.map(|link| &start.links[link]));
@@ -84,30 +100,65 @@ fn add_connection(
         let point = connection.ends[k].point;
         links[k].map_or(point, |link| link.pose * point)
     });
-    let off = (first - second).to_array().map(f64::from);
-    let violation = off.iter().map(|part| part * part).sum::<f64>().sqrt();
-    let compliance = f64::from(connection.softness.compliance(violation as f32)) * inverse;
-    for (axis, part) in off.into_iter().enumerate() {
+    let off = wide(first - second).to_array();
+    let [one, other] = [(links[0], first), (links[1], second)]
+        .map(|(link, point)| link.map_or(DVec3::ZERO, |link| link.acceleration(wide(point))));
+    let drift = (one - other).to_array();
+    let along = |axis: usize| [DVec3::AXES[axis], DVec3::ZERO];
+    let held = |k: usize| Held { off: off[k], wrench: along(k), drift: drift[k], inverse };
+    let mut rows: Vec<Held> = (0..3).map(held).collect();
+    if let Some(scale) = connection.torque_scale {
+        rows.extend(weld_rows(connection, links, scale, turning_inverse));
+    }
+    let violation = rows.iter().map(|row| row.off * row.off).sum::<f64>().sqrt();
+    let softness = &connection.softness;
+    let compliance = f64::from(softness.compliance(violation as f32));
+    for Held { off, wrench: [force, torque], drift, inverse } in rows {
         let (row, mut speed) = (problem.add_row(), 0.0);
         for (sign, link, point) in [(1.0, links[0], first), (-1.0, links[1], second)] {
             let Some(link) = link else { continue };
-            let point = point.to_array().map(f64::from);
-            let centre = link.mass_centre.to_array();
-            let arm: [f64; 3] = std::array::from_fn(|k| point[k] - centre[k]);
+            let twist = (wide(point) - link.mass_centre).cross(force) + torque;
             for (dof, column) in link.jacobian.iter().enumerate() {
-                let [b, c] = [(axis + 1) % 3, (axis + 2) % 3];
-                let turned = column[3 + b] * arm[c] - column[3 + c] * arm[b];
-                let moved = sign * (column[axis] + turned);
-                row[dof] += moved;
-                speed += moved * start.speeds[dof];
+                let [moved, turned] = [0, 3].map(|part| DVec3::from_slice(&column[part..]));
+                let part = sign * (force.dot(moved) + twist.dot(turned));
+                row[dof] += part;
+                speed += part * start.speeds[dof];
             }
         }
-        let softness = &connection.softness;
         let aim =
-            softness.acceleration_at(violation, rule.integration, rule.step_secs, [part, speed]);
-        problem.set_row(aim, compliance);
+            softness.acceleration_at(violation, rule.integration, rule.step_secs, [off, speed]);
+        problem.set_row(aim - drift, compliance * inverse);
         problem.close(Kind::Hold);
     }
+}
+
+/// Rows of a weld: with the rotations `q` and `p` of its ends, the vector of the quaternion `scale p* q`.
+fn weld_rows(
+    connection: &ConnectionPlan,
+    links: [Option<&LinkMotion>; 2],
+    scale: f64,
+    inverse: f64,
+) -> [Held; 3] {
+    let [first, [x, y, z, w]] = [0, 1].map(|k| {
+        let own = connection.ends[k].rotation;
+        links[k].map_or(own, |link| link.pose.rotation * own).to_array().map(f64::from)
+    });
+    let [[spin, turning], [other_spin, other_turning]] =
+        links.map(|link| link.map_or([DVec3::ZERO; 2], |link| [link.velocity[1], link.rates[1]]));
+    let (back, relative) = ([-x, -y, -z, w], spin - other_spin);
+    let pure = |vector: DVec3| [vector.x, vector.y, vector.z, 0.0];
+    let between = |middle: [f64; 4]| product(product(back, middle), first);
+    let off = product(back, first);
+    let slopes = DVec3::AXES.map(|axis| between(pure(axis)));
+    let rate = pure(turning - other_turning);
+    let after = product(pure(relative), pure(spin));
+    let before = product(pure(other_spin), pure(relative));
+    let drift = between(std::array::from_fn(|k| rate[k] + 0.5 * (after[k] - before[k])));
+    [0, 1, 2].map(|part| {
+        let torque = 0.5 * scale * DVec3::from_array(slopes.map(|slope| slope[part]));
+        let wrench = [DVec3::ZERO, torque];
+        Held { off: scale * off[part], wrench, drift: 0.5 * scale * drift[part], inverse }
+    })
 }
 
 fn add_limit(

@@ -7,7 +7,9 @@ use rapier3d::prelude::PhysicsWorld;
 
 use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
-use crate::robot::{Blueprint, JointMap, JointPlan, Layout, LinkPlan, MapKind};
+use crate::robot::{
+    Blueprint, JointMap, JointPlan, Layout, LinkPlan, MapKind, ball_joint, ball_rotation, turned,
+};
 
 /// The motion at the start of a step. Velocities have the order of the multibody.
 #[derive(Default)]
@@ -34,9 +36,9 @@ pub(super) struct LinkMotion {
     /// Force on the mass centre, N, and torque, N m, from outside.
     pull: [DVec3; 2],
     /// Velocity of the mass centre, m/s, and angular velocity, rad/s.
-    velocity: [DVec3; 2],
+    pub(super) velocity: [DVec3; 2],
     /// Their rates while all velocities of the joints are constant, m/s^2 and rad/s^2.
-    rates: [DVec3; 2],
+    pub(super) rates: [DVec3; 2],
 }
 
 impl Motion {
@@ -62,7 +64,7 @@ impl Motion {
         self.hinges.clear();
         self.hinges.extend(layout.hinges.iter().map(|hinge| {
             let link = multibody.link(hinge.link).expect("the layout is this robot's");
-            f64::from(hinge.plan.axis.sign * link.joint().coords()[hinge.axis])
+            f64::from(hinge.position(link.joint()))
         }));
     }
 
@@ -113,6 +115,13 @@ impl LinkMotion {
         }
     }
 
+    /// Acceleration of one of its points while all velocities of the joints are constant, m/s^2.
+    pub(super) fn acceleration(&self, point: DVec3) -> DVec3 {
+        let (arm, [_, spin], [moving, turning]) =
+            (point - self.mass_centre, self.velocity, self.rates);
+        moving + turning.cross(arm) + spin.cross(spin.cross(arm))
+    }
+
     fn velocity_for(&self, speeds: &[f64]) -> [DVec3; 2] {
         let mut sum = [0.0; 6];
         for (column, speed) in self.jacobian.iter().zip(speeds) {
@@ -156,7 +165,8 @@ fn rates(plan: &LinkPlan, link: &LinkMotion, parent: Option<&LinkMotion>) -> [DV
     let around = |spin: DVec3, arm: DVec3| spin.cross(spin.cross(arm));
     let hinge = match &plan.joint {
         JointPlan::Fixed => return [DVec3::ZERO; 2],
-        JointPlan::Hinge(hinge) => hinge,
+        // A ball joint turns about its anchor as a hinge does: its speeds are about the axes of the link.
+        JointPlan::Hinge(hinge) | JointPlan::Ball(hinge) => hinge,
         // The velocities are those of the link's origin.
         JointPlan::Planar(_) | JointPlan::Free(_) | JointPlan::Floating(_) => {
             return [around(spin, link.mass_centre - wide(link.pose.translation)), DVec3::ZERO];
@@ -184,12 +194,13 @@ fn rates(plan: &LinkPlan, link: &LinkMotion, parent: Option<&LinkMotion>) -> [DV
 /// Moves a joint from its start with the velocities at the end of the step.
 pub(super) fn move_joint(
     multibody: &mut Multibody,
-    map: &JointMap,
+    (map, plan): (&JointMap, &LinkPlan),
     start: &LinkMotion,
     step_secs: f32,
 ) {
     let count = match map.kind {
         MapKind::Fixed => return,
+        MapKind::Ball => 3,
         MapKind::Hinge { .. } => 1,
         MapKind::Planar => 3,
         MapKind::Free | MapKind::Floating => 6,
@@ -200,6 +211,11 @@ pub(super) fn move_joint(
         *moved = step_secs * speed;
     }
     let link = multibody.link_mut(map.link).expect("the layout is this robot's");
+    if let JointPlan::Ball(ball) = &plan.joint {
+        let rotation = turned(ball_rotation(&start.joint.data), [moved[0], moved[1], moved[2]]);
+        link.joint = MultibodyJoint::new(ball_joint(plan, ball, rotation), false);
+        return;
+    }
     link.joint = start.joint;
     link.joint.apply_displacement(&moved[..count]);
     if map.kind == MapKind::Floating {

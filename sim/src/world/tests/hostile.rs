@@ -27,7 +27,7 @@ const EVERYTHING: &str = r#"<mujoco model="all">
 <joint name="j" pos="0 0 0" axis="0 1 0" range="-1 1" stiffness="1" springref="0.1" damping="0.2" armature="0.01" frictionloss="0.1" ref="0.1" margin="0.01" solreflimit="0.02 1" solimplimit="0.9 0.95 0.001" solreffriction="0.02 1" solimpfriction="0.9 0.95 0.001" actuatorfrcrange="-50 50"/>
 <geom name="bar" type="capsule" size="0.05" fromto="0 0 0 0.3 0 0" density="800" friction="0.9 0.01 0.01" margin="0.001" solmix="1" solref="0.02 1" condim="6" priority="1" contype="1" conaffinity="1" group="1"/>
 <body name="hand" pos="0.4 0 0" xyaxes="1 0 0 0 1 0">
-<joint name="k" type="slide" axis="1 0 0" range="-0.1 0.1"/>
+<joint name="k" type="slide" axis="1 0 0" range="-0.1 0.1" springdamper="0.5 1"/>
 <geom type="mesh" mesh="m" mass="0.5"/>
 </body></body></body></frame></worldbody>
 <contact>
@@ -40,14 +40,15 @@ const EVERYTHING: &str = r#"<mujoco model="all">
 <joint joint1="j" joint2="k" polycoef="0.1 2 0 0 0" solref="0.05 1" solimp="0.9 0.95 0.001"/>
 <tendon tendon1="t" polycoef="0 0 0 0 0" solref="0.05 1"/>
 <connect body1="hand" body2="trunk" anchor="0 0 0" solref="0.05 1"/>
+<weld body1="hand" body2="trunk" anchor="0 0 0" relpose="-0.7 0 0 1 0 0 0.1" torquescale="0.5" solref="0.05 1"/>
 </equality>
 <actuator>
 <motor name="m1" joint="j" gear="10" ctrlrange="-1 1"/>
-<position joint="k" kp="100" dampratio="1" inheritrange="0.9" forcerange="-50 50"/>
+<position joint="k" kp="100" dampratio="1" timeconst="0.1" inheritrange="0.9" forcerange="-50 50"/>
 <velocity joint="k" kv="10" ctrlrange="-1 1"/>
-<general tendon="t" gainprm="10" biastype="affine" biasprm="0 -10 -1" ctrlrange="-1 1"/>
+<general tendon="t" gainprm="10" biastype="affine" biasprm="0 -10 -1" dyntype="filter" dynprm="0.1" actrange="-1 1" actearly="true" ctrlrange="-1 1"/>
 </actuator>
-<keyframe><key name="home" qpos="0 0 0.6 1 0 0 0 0 0" qvel="0 0 0 0 0 0 0 0" ctrl="0 0 0 0" time="0"/></keyframe>
+<keyframe><key name="home" qpos="0 0 0.6 1 0 0 0 0 0" qvel="0 0 0 0 0 0 0 0" ctrl="0 0 0 0" act="0 0" time="0"/></keyframe>
 </mujoco>"#;
 
 /// Numbers in the place of those of the model.

@@ -55,12 +55,23 @@ fn motions_follow_mujocos() {
 #[test]
 fn couplings_continue_from_a_restored_motion_bit_for_bit() {
     let reference = reference();
-    for name in ["four bars", "a polynomial of a joint", "a tendon with a spring and a limit"] {
+    for name in [
+        "four bars",
+        "a polynomial of a joint",
+        "a tendon with a spring and a limit",
+        "a limit of a ball joint",
+        "welds",
+    ] {
         let mjcf = reference["motions"][name]["mjcf"].as_str().unwrap();
         let world = || world_of(mjcf);
         let count = world().robot().coordinate_names().len();
-        let at: Vec<f32> = (0..count).map(|index| 0.01 * (index as f32 + 1.0)).collect();
-        let speeds: Vec<f32> = at.iter().map(|number| 3.0 - 40.0 * number).collect();
-        assert_continues_bit_for_bit([world(), world()], &at, &speeds, &[0.2]);
+        let mut at: Vec<f32> = (0..count).map(|index| 0.01 * (index as f32 + 1.0)).collect();
+        for ball in &world().robot().layout().balls {
+            at[ball.coordinate..][..4].copy_from_slice(&[-0.5, 0.1, 0.7, -0.5]);
+        }
+        let count = world().robot().velocity_names().len();
+        let speeds: Vec<f32> = (0..count).map(|index| 2.6 - 0.4 * index as f32).collect();
+        let controls = vec![0.2; world().robot().blueprint().motors.len()];
+        assert_continues_bit_for_bit([world(), world()], &at, &speeds, &controls);
     }
 }

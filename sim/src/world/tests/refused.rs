@@ -54,12 +54,12 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
         ),
         (geom("size=\"x\""), "line 4, <geom>: size=\"x\" must be finite numbers"),
         (
-            bodies("\n<joint name=\"j\" type=\"ball\"/><geom size=\"1\"/>"),
-            "line 4, <joint name=\"j\">: the type `ball`",
+            bodies("\n<joint name=\"j\" type=\"ball\" range=\"0.1 1\"/><geom size=\"1\"/>"),
+            "line 4, <joint name=\"j\">: the `range` of a ball joint must start at 0",
         ),
         (
-            bodies("\n<joint name=\"j\" springdamper=\"1 1\"/>"),
-            "line 4, <joint name=\"j\">: the attribute `springdamper`",
+            bodies("\n<joint name=\"j\" springdamper=\"1 0\"/>"),
+            "line 4, <joint name=\"j\">: `springdamper` must be a positive time constant",
         ),
         (bodies("<joint/>"), "line 3, <body name=\"b\">: a body that moves must have a mass"),
         (bodies("<composite/>"), "line 3, <composite>: this element is not supported"),
@@ -108,7 +108,7 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
     assert_refused(&[
         (
             actuator("<motor joint=\"lost\" ctrlrange=\"-1 1\"/>"),
-            "line 6, <motor joint=\"lost\">: no hinge or slide",
+            "line 6, <motor joint=\"lost\">: no hinge, slide or ball joint",
         ),
         (
             actuator("<motor joint=\"j\"/>"),
@@ -120,20 +120,20 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
         ),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
-            actuator("<general joint=\"j\" dyntype=\"filter\"/>"),
-            "line 6, <general joint=\"j\">: actuators with an activation",
+            actuator("<general joint=\"j\" dyntype=\"muscle\" ctrlrange=\"0 1\"/>"),
+            "line 6, <general joint=\"j\">: dyntype=\"muscle\" is not supported; set none, integrator",
         ),
         (
-            actuator("<position joint=\"j\" timeconst=\"0.1\" ctrlrange=\"0 1\"/>"),
-            "line 6, <position joint=\"j\">: `timeconst` is not supported",
+            actuator("<general joint=\"j\" dyntype=\"filter\" dynprm=\"0\" ctrlrange=\"0 1\"/>"),
+            "line 6, <general joint=\"j\">: `dynprm` must start with a time constant of at least",
         ),
         (
             actuator("<position joint=\"j\" dampratio=\"1\" kv=\"1\" ctrlrange=\"0 1\"/>"),
             "line 6, <position joint=\"j\">: `dampratio` must not be stated with `kv`",
         ),
         (
-            section("<equality>\n<weld body1=\"b\"/></equality>"),
-            "line 6, <weld>: only equalities of joints, of fixed tendons and `connect`",
+            section("<equality>\n<flex body1=\"b\"/></equality>"),
+            "line 6, <flex>: only equalities of joints, of fixed tendons, `connect` and `weld`",
         ),
         (
             section("\n<tendon><spatial name=\"t\" stiffness=\"1\"/></tendon>"),

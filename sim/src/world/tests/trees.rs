@@ -74,6 +74,7 @@ fn a_state_with_a_second_quaternion_that_is_not_a_unit_is_refused() {
         position,
         coordinates: robot.rest().to_vec(),
         velocities: vec![0.0; robot.velocity_names().len()],
+        activations: Vec::new(),
         actions: Vec::new(),
         measurements: Vec::new(),
         draws: None,

@@ -1,0 +1,104 @@
+//! Inverse masses and inertias of a robot in its rest pose: MuJoCo's `invweight0` of bodies, freedoms and tendons.
+
+use rapier3d::dynamics::Multibody;
+use rapier3d::prelude::*;
+
+use super::super::blueprint::{Blueprint, JointPlan};
+use super::super::coupling::ConnectedFrame;
+use super::{FreeFriction, JointMap, Layout};
+
+impl Layout {
+    /// Computes inverse masses and inertias in the current pose of `robot`.
+    pub(in super::super) fn set_inverse_masses(
+        &mut self,
+        blueprint: &Blueprint,
+        robot: &mut Multibody,
+        bodies: &RigidBodySet,
+    ) {
+        let inverse_inertias = robot.dof_inverse_inertia(bodies);
+        for hinge in &mut self.hinges {
+            hinge.inverse_inertia = inverse_inertias[hinge.dof];
+        }
+        for ball in &self.balls {
+            let rotations = &mut self.hinges[ball.first..ball.first + 3];
+            let mean = inverse_inertias.rows(rotations[0].dof, 3).mean();
+            rotations.iter_mut().for_each(|rotation| rotation.inverse_inertia = mean);
+        }
+        for hinge in &mut self.hinges {
+            if let Some([time_constant, ratio]) = hinge.plan.spring_damper {
+                let rate = 1.0 / (time_constant * ratio);
+                hinge.plan.stiffness = rate * rate / hinge.inverse_inertia;
+                hinge.plan.damping = 2.0 / (time_constant * hinge.inverse_inertia);
+            }
+        }
+        for (index, (plan, joint)) in blueprint.links.iter().zip(&self.joints).enumerate() {
+            if let JointPlan::Free(free) | JointPlan::Floating(free) = &plan.joint
+                && free.friction > 0.0
+            {
+                let mean = |first: usize| inverse_inertias.rows(joint.dof + first, 3).mean();
+                let inverses = [0, 3].map(|first| f64::from(mean(first)));
+                let (link, dof) = (index, joint.dof);
+                let plan = free.clone();
+                self.free_frictions.push(FreeFriction { plan, link, dof, inverses });
+            }
+        }
+        for tendon in &blueprint.tendons {
+            let mut force = 0.0 * robot.generalized_velocity().clone_owned();
+            for (hinge, factor) in tendon.moved.0.iter() {
+                let hinge = &self.hinges[*hinge];
+                force[hinge.dof] += factor * hinge.plan.axis.sign;
+            }
+            let mut acceleration = force.clone();
+            robot.inv_augmented_mass().solve_mut(&mut acceleration);
+            self.tendon_inverses.push(f64::from(force.dot(&acceleration)));
+        }
+        let inverse_mass = |joint: &JointMap| {
+            let jacobian = robot.body_jacobian(joint.link);
+            let along = |row: usize| {
+                let force = jacobian.row(row).transpose();
+                let mut acceleration = force.clone();
+                robot.inv_augmented_mass().solve_mut(&mut acceleration);
+                force.dot(&acceleration)
+            };
+            (0..3).map(along).sum::<f32>() / 3.0
+        };
+        self.inverse_masses = self.joints.iter().map(inverse_mass).collect();
+        for connection in &blueprint.connections {
+            let inverse = |end: &ConnectedFrame| {
+                let (plan, joint) = (&blueprint.links[end.link?], &self.joints[end.link?]);
+                let link = robot.link(joint.link).expect("the layout is this robot's");
+                let turn = link.local_to_world().rotation;
+                let arm = turn * (end.mass_centre - plan.mass.local_com);
+                Some(shape_inverse(robot, joint.link, arm))
+            };
+            let inverses = connection.ends.iter().filter_map(inverse);
+            let sum = inverses.fold([0.0; 2], |sum, own| [sum[0] + own[0], sum[1] + own[1]]);
+            self.connection_inverses.push(sum);
+        }
+        for (plan, joint) in blueprint.links.iter().zip(&self.joints) {
+            let link = robot.link(joint.link).expect("the layout is this robot's");
+            let turn = link.local_to_world().rotation;
+            for shape in &plan.shapes {
+                let arm = turn * (shape.mass_centre - plan.mass.local_com);
+                self.shape_inverses.push(shape_inverse(robot, joint.link, arm));
+            }
+        }
+    }
+}
+
+/// Mean inverse mass and inertia of a point of a link, `arm` from the link's mass centre, over three directions.
+fn shape_inverse(robot: &Multibody, link: usize, arm: Vector) -> [f64; 2] {
+    let jacobian = robot.body_jacobian(link);
+    let response = |force: Vector, torque: Vector| {
+        let parts = force.to_array().into_iter().chain(torque.to_array());
+        let rows = parts.enumerate().map(|(row, part)| jacobian.row(row).transpose() * part);
+        let pull = rows.reduce(|sum, part| sum + part).expect("a wrench has six numbers");
+        let mut acceleration = pull.clone();
+        robot.inv_augmented_mass().solve_mut(&mut acceleration);
+        f64::from(pull.dot(&acceleration))
+    };
+    let axes = [Vector::X, Vector::Y, Vector::Z];
+    let moved = axes.map(|axis| response(axis, arm.cross(axis)));
+    let turned = axes.map(|axis| response(Vector::ZERO, axis));
+    [moved, turned].map(|numbers| numbers.iter().sum::<f64>() / 3.0)
+}
