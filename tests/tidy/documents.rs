@@ -139,8 +139,14 @@ fn settings_in_the_readme_are_accepted() {
 
 #[test]
 fn the_example_of_a_task_stands_word_for_word_in_the_simulator() {
-    let files = ["hopper.xml", "hopper.toml", "walker2d-pushed.toml"];
-    let files = files.map(|name| read(&format!("sim/assets/{name}")));
+    let files = [
+        "sim/assets/hopper.xml",
+        "sim/assets/hopper.toml",
+        "sim/assets/walker2d-pushed.toml",
+        "docs/robots/b2-world.xml",
+        "docs/robots/spot.toml",
+    ];
+    let files = files.map(read);
     let document = read("docs/ADDING_A_TASK.md");
     // The first block has the commands, which tests/system/own_task.rs runs.
     let blocks = document.split("```").skip(1).step_by(2).skip(1);
