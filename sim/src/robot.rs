@@ -8,8 +8,10 @@ mod convex;
 mod coupling;
 mod document;
 mod exploration;
+mod fluid;
 mod folder;
 mod frame;
+mod heights;
 mod inertia;
 mod layout;
 mod mesh;
@@ -38,6 +40,7 @@ pub(crate) use blueprint::{
 };
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
+pub(crate) use fluid::Fluid;
 pub(crate) use frame::{product, turned, unit};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orientation};
 pub(crate) use neighbourhood::Neighbourhood;
@@ -115,6 +118,27 @@ impl Robot {
         Self::of_files(row, &|path| {
             Err(format!("{path}: the model of a task is one document without other files"))
         })
+    }
+
+    /// Builds the robot of a model without a task, with the model's own parameters and one physics step per environment
+    /// step. `read` returns the content of a file, or the reason why it cannot be read.
+    ///
+    /// # Errors
+    /// If a file cannot be read or the model cannot be built.
+    pub fn of_model(
+        document: &str,
+        read: impl Fn(&str) -> Result<Vec<u8>, String>,
+    ) -> Result<Self, SimError> {
+        let refused = |reason| SimError::Model { robot: document.to_owned(), reason };
+        let mut folder = folder::Folder::new(document, &read).map_err(refused)?;
+        let row = RobotRow {
+            name: document.to_owned(),
+            mjcf: folder.document().map_err(refused)?,
+            frame_skip: 1,
+            neighbourhood: Neighbourhood::default(),
+            physics: Physics::default(),
+        };
+        Self::of_files(row, &read)
     }
 
     /// Builds a robot whose model names files that `source` reads. [`Self::left_out`] lists what MuJoCo simulates in

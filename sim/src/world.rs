@@ -137,7 +137,7 @@ impl World {
                 true
             }
             Enforcer::Constraints(constraints) => {
-                constraints.step(&self.robot, &self.drives, &mut self.physics)
+                constraints.step(&self.robot, &mut self.drives, &mut self.physics)
             }
         };
         let robot = self.physics.multibody_joints.get_multibody(layout.multibody);

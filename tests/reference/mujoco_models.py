@@ -111,6 +111,21 @@ MESHES = """<mujoco>
 </mujoco>
 """
 
+# Primitive shapes with the inertia box of a mesh.
+FITTED = """<mujoco>
+  <compiler meshdir="parts"/>
+  <asset><mesh name="m" file="trough.obj" scale="0.1 0.1 0.1"/></asset>
+  <default><geom mesh="m" pos="0 0 0.1" quat="1 1 0 0"/></default>
+  <worldbody>
+    <body name="a"><joint name="ja"/><geom type="box"/></body>
+    <body name="b"><joint name="jb"/><geom type="capsule" density="300" fitscale="0.7"/></body>
+    <body name="c"><joint name="jc"/><geom type="cylinder" mass="2"/></body>
+    <body name="d"><joint name="jd"/><geom type="sphere"/></body>
+    <body name="e"><joint name="je"/><geom type="ellipsoid" fitscale="2"/></body>
+  </worldbody>
+</mujoco>
+"""
+
 # An L, whose surface's centroid is outside its kernel, so that MuJoCo's "legacy" mass is not its volume.
 BENT = """<mujoco>
   <asset>
@@ -161,6 +176,7 @@ MODELS = {
     "primitives": PRIMITIVES,
     "classes": CLASSES,
     "meshes": MESHES,
+    "fitted": FITTED,
     "bent": BENT,
     "bounds": BOUNDS,
     "servos": SERVOS,
@@ -262,6 +278,36 @@ WELDS = """<mujoco>
 </mujoco>
 """
 
+# A tumbling body of several shapes with a fin, in a fluid that flows.
+FLUID = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.002" gravity="0 0 -1" {option}/>
+  <worldbody>
+    <body name="hull" pos="0 0 1"><freejoint name="root"/>
+      <geom type="capsule" fromto="0 0 0 .3 .2 .1" size=".04"/>
+      <body pos=".1 0 0"><geom type="box" size=".1 .02 .05" euler="0.4 0.2 0"/><geom size=".03" pos=".1 .1 0"/></body>
+      <body name="fin" pos="-.1 0 0"><joint name="fin" axis="0 1 1" damping="0.01"/>
+        <geom type="ellipsoid" pos="-.1 0 0" size=".1 .04 .01"/></body></body>
+  </worldbody>
+  <actuator><motor joint="fin" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+# A chain that tumbles, swings into its limits and falls on the floor, with large steps.
+TUMBLE = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.01" integrator="RK4"/>
+  <default><geom type="capsule" size=".04"/></default>
+  <worldbody>
+    <geom type="plane" size="9 9 1"/>
+    <body name="trunk" pos="0 0 .4"><freejoint name="root"/><geom fromto="-.2 0 0 .2 0 0"/>
+      <body name="leg" pos=".2 0 0"><joint name="hip" axis="0 1 1" range="-.4 .4" damping=".2" stiffness="3"/>
+        <geom fromto="0 0 0 .1 0 -.3"/></body></body>
+  </worldbody>
+  <actuator><position joint="hip" kp="20" kv="0.5" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
 SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
 
 # Motions: a model, its velocities at the start, constant controls, and physics steps.
@@ -293,6 +339,10 @@ MOTIONS = {
     "a tendon with dry friction": (
         FINGERS.format(tendon=' frictionloss="0.4"', sections=PULL), [], [0.6], 500),
     "a servo of a tendon": (FINGERS.format(tendon="", sections=HOLD), [], [-0.9], 500),
+    "a body in a fluid": (FLUID.format(option='density="900" viscosity="0.3" wind="1 -2 0.5"'),
+                          [0.5, 0, 1, 2, -3, 4, 5], [0.05], 300),
+    "a body in honey": (FLUID.format(option='viscosity="8"'), [0.5, 0, 1, 2, -3, 4, 5], [0.05], 300),
+    "a step of Runge and Kutta": (TUMBLE, [0.3, 0.2, 0, 4, -3, 5, 2], [0.9], 40),
     "four bars": (FOUR_BARS, [], [0.3], 350),
     "ball joints": (BALLS.format(limit=""), [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
     "a limit of a ball joint": (

@@ -1,6 +1,8 @@
-//! Prints the tables of docs/FIDELITY.md: `cargo run --release -p sim --example fidelity`.
+//! Prints the tables of docs/FIDELITY.md: `cargo run --release -p sim --example fidelity`. With a folder and the path of a
+//! model in it, prints where the robot falls in a quarter of a second.
 
 mod compare;
+mod fall;
 mod held_out;
 mod random;
 
@@ -15,6 +17,14 @@ const GROUND: [&str; 3] = ["passive", "tenth", "full"];
 type Row<T> = (&'static str, fn(&T) -> f64);
 
 fn main() {
+    if let [folder, document] = &*std::env::args().skip(1).collect::<Vec<_>>() {
+        println!("{}", fall::report(folder, document));
+    } else {
+        tables();
+    }
+}
+
+fn tables() {
     let traces = Traces::read();
     println!("Reference: {}.\n", traces.source());
     flight(&traces);

@@ -7,6 +7,7 @@ use rapier3d::prelude::MassProperties;
 
 use super::activation::{Activation, ActivationKind};
 use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan};
+use super::fluid::Fluid;
 use super::softness::{Integration, Softness, SoftnessOverride};
 use super::surface::{ContactOverride, Surface};
 use crate::scene::Shape;
@@ -21,6 +22,8 @@ pub(crate) struct Blueprint {
     pub(crate) gravity: Vector,
     /// MuJoCo's integrator for the model.
     pub(crate) integration: Integration,
+    /// A fluid that acts on the bodies.
+    pub(crate) fluid: Option<Fluid>,
     /// Shapes that are fixed to the world and can touch the robot, in the order of the model.
     pub(crate) grounds: Vec<GroundPlan>,
     pub(crate) contacts: ContactRules,

@@ -19,6 +19,7 @@ pub(in crate::robot) use classes::Classes;
 const DEEPEST_ELEMENT: usize = 200;
 /// Nesting depth of included files.
 const DEEPEST_INCLUDE: usize = 8;
+const ROOT_END: &str = "</mujoco>";
 /// Most nodes of a file: elements, comments and texts between them.
 const MOST_NODES: u32 = 200_000;
 
@@ -318,8 +319,16 @@ fn parsed(text: &str) -> Result<Document<'_>, String> {
     if deepest(text) > DEEPEST_ELEMENT {
         return Err(too_deep());
     }
+    // MuJoCo's parser ignores what follows the root, such as a second end in Unitree's files.
+    let mut text = text.trim_end();
+    while let Some(rest) = text.strip_suffix(ROOT_END).map(str::trim_end)
+        && rest.ends_with(ROOT_END)
+    {
+        text = rest;
+    }
     let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-    Document::parse_with_options(text, options).map_err(|error| error.to_string())
+    let parsed = Document::parse_with_options(text, options);
+    parsed.map_err(|error| format!("it must be valid XML without a DTD: {error}"))
 }
 
 fn too_deep() -> String {

@@ -3,6 +3,7 @@
 //! rapier computes principal axes with the platform's `acos` and `cos`, whose last bits differ between C libraries.
 //! Here Jacobi rotations compute them with arithmetic and square roots only, which are exact on every platform.
 
+use rapier3d::glamx::Mat3;
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::{MassProperties, SharedShape};
 
@@ -95,6 +96,27 @@ impl Solid {
         let (moments, frame) = principal_axes(self.inertia);
         let raised = Self::principal(self.mass.max(mass), moments.map(|own| own.max(inertia)));
         Self { centre: self.centre, ..raised.turned(numbers(frame)) }
+    }
+
+    /// Moments along axes, kg m^2; without any, the principal moments and their axes.
+    pub(super) fn moments_along(&self, axes: Option<Rotation>) -> ([f64; 3], Rotation) {
+        let Some(axes) = axes else { return principal_axes(self.inertia) };
+        let [x, y, z, w] = numbers(axes);
+        let inertia = self.turned([-x, -y, -z, w]).inertia;
+        (std::array::from_fn(|axis| inertia[axis][axis]), axes)
+    }
+
+    /// Centre, half edges and axes of the box with the same mass and inertia, the shortest edge first.
+    pub(super) fn half_box(&self) -> ([f64; 3], [f64; 3], Rotation) {
+        let (moments, axes) = principal_axes(self.inertia);
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| moments[*b].total_cmp(&moments[*a]));
+        let [x, y, z] = order.map(|axis| moments[axis]);
+        let half = |square: f64| (1.5 * square.max(0.0) / self.mass).sqrt();
+        let columns = order.map(|axis| axes * [Vector::X, Vector::Y, Vector::Z][axis]);
+        let frame = Mat3::from_cols(columns[0], columns[1], columns[0].cross(columns[1]));
+        let sizes = [half(y + z - x), half(x + z - y), half(x + y - z)];
+        (self.centre, sizes, Rotation::from_mat3(&frame))
     }
 
     /// Principal moments, kg m^2.

@@ -1,4 +1,4 @@
-//! Triangle meshes of a model: binary STL and OBJ files, their convex hulls, and the masses that they enclose.
+//! Triangle meshes of a model: binary STL, OBJ and MSH files, their convex hulls, and the masses that they enclose.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -43,7 +43,8 @@ impl Mesh {
         let mesh = match ending.as_deref() {
             Some("stl") => read_stl(bytes),
             Some("obj") => read_obj(bytes),
-            _ => Err("it is not an STL or OBJ file".to_owned()),
+            Some("msh") => read_msh(bytes),
+            _ => Err("it is not an STL, OBJ or MSH file".to_owned()),
         };
         let mesh = mesh.and_then(Self::checked);
         mesh.map_err(|reason| format!("{path}: {reason}"))
@@ -201,6 +202,36 @@ fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
     Ok(Mesh { points, triangles })
 }
 
+/// Reads MuJoCo's own format: numbers of points, normals, texture coordinates and triangles, then all of them.
+fn read_msh(bytes: &[u8]) -> Result<Mesh, String> {
+    let words = bytes.as_chunks::<4>().0;
+    let [points, normals, coordinates, triangles, words @ ..] = words else {
+        return Err("an MSH file has at least 16 bytes".to_owned());
+    };
+    let counts = [points, normals, coordinates, triangles];
+    let counts = counts.map(|word| u64::from(u32::from_le_bytes(*word)));
+    let needed: u64 = counts.iter().zip([12, 12, 8, 12]).map(|(count, size)| count * size).sum();
+    if needed + 16 != bytes.len() as u64 {
+        return Err(format!(
+            "it is not an MSH file: its numbers need {} bytes, it has {}",
+            needed + 16,
+            bytes.len()
+        ));
+    }
+    let [points, _, _, triangles] = counts.map(|count| 3 * count as usize);
+    let (faces, rest) = (&words[words.len() - triangles..], &words[..points]);
+    let number = |word: &[u8; 4]| f64::from(f32::from_le_bytes(*word));
+    Ok(Mesh {
+        points: rest.as_chunks::<3>().0.iter().map(|point| point.each_ref().map(number)).collect(),
+        triangles: faces
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|face| face.map(|index| u32::from_le_bytes(index) as usize))
+            .collect(),
+    })
+}
+
 /// Reads `v` and `f` lines. Faces with more than three corners become fans.
 fn read_obj(bytes: &[u8]) -> Result<Mesh, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned())?;
@@ -277,6 +308,32 @@ mod tests {
         }
     }
 
+    /// A mesh as MuJoCo's own format, with a normal and two texture coordinates.
+    fn msh(mesh: &Mesh) -> Vec<u8> {
+        let counts = [mesh.points.len(), 1, 2, mesh.triangles.len()].map(|count| count as u32);
+        let points = mesh.points.iter().flatten().map(|x| (*x as f32).to_bits());
+        let triangles = mesh.triangles.iter().flatten().map(|index| *index as u32);
+        let words = counts.into_iter().chain(points).chain([7; 3 + 2 * 2]).chain(triangles);
+        words.flat_map(u32::to_le_bytes).collect()
+    }
+
+    #[test]
+    fn a_file_in_mujocos_format_has_the_points_and_triangles_of_its_mesh() {
+        let cube = Mesh::read("cube.obj", CUBE.as_bytes()).unwrap();
+        let bytes = msh(&cube);
+        let read = Mesh::read("cube.msh", &bytes).unwrap();
+        assert_eq!((read.points, read.triangles), (cube.points, cube.triangles));
+        let refusal = |bytes: &[u8]| Mesh::read("cube.msh", bytes).unwrap_err();
+        assert!(
+            refusal(&bytes[..bytes.len() - 4]).contains("its numbers need 284 bytes, it has 280")
+        );
+        assert!(refusal(&[255; 16]).contains("its numbers need"));
+        assert!(refusal(&bytes[..15]).contains("at least 16 bytes"));
+        let mut far = bytes.clone();
+        far[bytes.len() - 1] = 0x70;
+        assert!(refusal(&far).contains("a face names vertex"));
+    }
+
     #[test]
     fn damaged_files_are_rejected_with_the_reason() {
         let reason = |path: &str, bytes: &[u8]| Mesh::read(path, bytes).unwrap_err();
@@ -286,7 +343,7 @@ mod tests {
         assert!(reason("a.stl", b"solid cube").contains("at least 84 bytes"));
         assert!(reason("a.obj", b"v 0 0 0\nf 1 2 9\n").contains("vertex 2; there are 1"));
         assert!(reason("a.obj", b"v 0 0\n").contains("line 1 is invalid: v 0 0"));
-        assert!(reason("a.dae", b"").contains("not an STL or OBJ file"));
+        assert!(reason("a.dae", b"").contains("not an STL, OBJ or MSH file"));
         let flat = Mesh::read("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
         assert!(flat.hull().unwrap_err().contains("do not span a volume"));
     }

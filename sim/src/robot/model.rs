@@ -19,14 +19,16 @@ mod options;
 
 use super::blueprint::{Blueprint, Law};
 use super::document::Element;
+use super::fluid::Fluid;
 use super::folder::Folder;
 use context::Context;
 pub(super) use flat::flat;
+use geoms::Geom;
 
 /// Reads an MJCF document and the files of `folder` that it needs.
 pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, String> {
     let root = Element::parse(mjcf, folder)?;
-    let (mut context, left_out) = Context::read(&root)?;
+    let (mut context, mut left_out) = Context::read(&root)?;
     let mut bodies = bodies::flat(&root, &context)?;
     let grounds = bodies::take_grounds(&mut bodies, &mut context, folder);
     let mut links = links::read(&bodies, &mut context, folder)?;
@@ -40,10 +42,17 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let keyframes = keyframes::read(&root, &context.blockers);
     let contacts = contacts::read(&root, &context, &bodies, (&links.plans, &grounds));
     context.blockers.finish()?;
+    let fluid = Some(context.options.fluid).filter(Fluid::acts);
+    if fluid.is_some()
+        && bodies.iter().flat_map(|body| &body.geoms).any(Geom::is_ellipsoid_in_fluid)
+    {
+        left_out.push("no fluid acts on bodies with `fluidshape=\"ellipsoid\"`".to_owned());
+    }
     Ok(Blueprint {
         timestep_secs: context.options.timestep_secs,
         gravity: context.options.gravity,
         integration: context.options.integration,
+        fluid,
         grounds,
         contacts,
         law: Law::Constraints,

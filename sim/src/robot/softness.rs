@@ -144,41 +144,18 @@ impl Softness {
         }
     }
 
-    /// Reference acceleration of the constraint at `position`, m or rad, negative for a violation, and `speed`, over a
-    /// step of `step_secs`. Friction has no position. MuJoCo's Runge-Kutta integrator follows the spring through the
-    /// step; the acceleration is then the mean over the step.
-    pub(crate) fn reference_acceleration(
-        &self,
-        integration: Integration,
-        step_secs: f64,
-        position: Option<f64>,
-        speed: f64,
-    ) -> f64 {
+    /// Reference acceleration of the constraint at `position`, m or rad, negative for a violation, and `speed`.
+    /// Friction has no position.
+    pub(crate) fn reference_acceleration(&self, position: Option<f64>, speed: f64) -> f64 {
         let at = position.unwrap_or(0.0);
-        self.acceleration_at(-at, integration, step_secs, [at, speed])
+        self.acceleration_at(-at, [at, speed])
     }
 
     /// As [`Self::reference_acceleration`], for one of several directions that together have the violation `violation`, m.
-    pub(crate) fn acceleration_at(
-        &self,
-        violation: f64,
-        integration: Integration,
-        step_secs: f64,
-        [at, speed]: [f64; 2],
-    ) -> f64 {
+    pub(crate) fn acceleration_at(&self, violation: f64, [at, speed]: [f64; 2]) -> f64 {
         let [stiffness, damping] = self.stiffness_and_damping();
         let stiffness = stiffness * f64::from(self.impedance_at(violation as f32));
-        let pull = |at: f64, speed: f64| -stiffness * at - damping * speed;
-        if integration == Integration::Euler {
-            return pull(at, speed);
-        }
-        let (mut term, mut sum) = ([at, speed], 0.0);
-        for order in 1..=4 {
-            let part = step_secs / f64::from(order);
-            term = [part * term[1], part * pull(term[0], term[1])];
-            sum += term[1];
-        }
-        sum / step_secs
+        -stiffness * at - damping * speed
     }
 
     /// Spring of the constraint for steps of `step_secs`.

@@ -5,7 +5,8 @@
 //! negative for a violation, has the reference acceleration `a_ref = -b v - k d(r) r` and, at the acceleration `a`, the
 //! force `(a_ref - a) / R` with `R = (1 - d(r)) / d(r) A`; `A` is its inverse mass in the rest pose.
 //! [`Softness`](crate::robot::Softness) holds `k`, `b` and `d`. The step is MuJoCo's semi-implicit Euler step: new
-//! velocities from the accelerations, with implicit damping, then new positions from these velocities.
+//! velocities from the accelerations, with implicit damping, then new positions from these velocities; or its step of Runge
+//! and Kutta.
 //!
 //! No number is kept between steps, so a rebuilt world continues as the uninterrupted one.
 
@@ -14,17 +15,19 @@ mod couplings;
 mod matrix;
 mod motion;
 mod problem;
+mod runge_kutta;
 
 use rapier3d::dynamics::Multibody;
 use rapier3d::math::Vector;
 use rapier3d::prelude::{PairFilterContext, PhysicsHooks, PhysicsWorld, SolverFlags};
 
 use super::{HingeDrives, place};
-use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, Softness, unit};
+use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, unit};
 use contacts::Touching;
 use matrix::dot;
 use motion::{Motion, move_joint};
 use problem::{ConstraintProblem, Kind};
+use runge_kutta::RungeKutta;
 
 /// The constraints of one robot, and memory for a step.
 pub(crate) struct Constraints {
@@ -35,8 +38,11 @@ pub(crate) struct Constraints {
     problem: ConstraintProblem,
     /// Mass matrix plus the damping in a step.
     implicit_mass: Vec<f64>,
-    /// Change of the velocities in the step.
+    /// Accelerations, then the change of the velocities in the step.
     change: Vec<f64>,
+    /// Velocities at the end of the step.
+    end: Vec<f64>,
+    stages: RungeKutta,
     /// Sum of the normal impulses in the last step, N s.
     normal_impulse: f64,
 }
@@ -52,6 +58,8 @@ impl Constraints {
             problem: ConstraintProblem::default(),
             implicit_mass: Vec::new(),
             change: Vec::new(),
+            end: Vec::new(),
+            stages: RungeKutta::default(),
             normal_impulse: 0.0,
         }
     }
@@ -70,9 +78,24 @@ impl Constraints {
     pub(crate) fn step(
         &mut self,
         robot: &Robot,
-        drives: &HingeDrives,
+        drives: &mut HingeDrives,
         physics: &mut PhysicsWorld,
     ) -> bool {
+        self.accelerate(robot, drives, physics);
+        self.normal_impulse = self.step_secs * self.touching.normal_force(&self.problem.forces);
+        if self.integration == Integration::RungeKutta {
+            return self.finish_runge_kutta(robot, drives, physics);
+        }
+        let (mut end, start) = (std::mem::take(&mut self.end), std::mem::take(&mut self.start));
+        end.clone_from(&start.speeds);
+        matrix::add_scaled(&mut end, self.step_secs, &self.change);
+        let is_finite = self.go(robot, physics, &start, [&end, &end]);
+        (self.end, self.start) = (end, start);
+        is_finite
+    }
+
+    /// Computes the accelerations, with MuJoCo's implicit damping unless the integrator is that of Runge and Kutta.
+    fn accelerate(&mut self, robot: &Robot, drives: &HingeDrives, physics: &mut PhysicsWorld) {
         let layout = robot.layout();
         // A step without duration finds the shapes that are close.
         physics.integration_parameters.dt = 0.0;
@@ -85,12 +108,9 @@ impl Constraints {
         if self.problem.has_constraints() {
             self.problem.solve();
         }
-        self.normal_impulse = self.step_secs * self.touching.normal_force(&self.problem.forces);
         self.problem.total(&mut self.change);
-        self.change.iter_mut().for_each(|change| *change *= self.step_secs);
         matrix::factorise(&mut self.implicit_mass, self.change.len());
         matrix::substitute(&self.implicit_mass, &mut self.change);
-        self.apply(robot, physics)
     }
 
     /// Computes the mass matrix and the forces without constraints.
@@ -106,7 +126,9 @@ impl Constraints {
             multibody.damping().iter().zip(&self.start.speeds).enumerate()
         {
             let damping = f64::from(*damping);
-            self.implicit_mass[index * size + index] += self.step_secs * damping;
+            if self.integration == Integration::Euler {
+                self.implicit_mass[index * size + index] += self.step_secs * damping;
+            }
             self.problem.pull[index] -= damping * speed;
         }
         for (hinge, torque) in layout.hinges.iter().zip(drives.torques()) {
@@ -117,10 +139,9 @@ impl Constraints {
     /// Adds all constraints.
     fn constrain(&mut self, robot: &Robot, physics: &PhysicsWorld) {
         let layout = robot.layout();
-        let rule = Rule { integration: self.integration, step_secs: self.step_secs };
         for (hinge, position) in layout.hinges.iter().zip(&self.start.hinges) {
-            add_limit(&mut self.problem, &self.start.speeds, hinge, *position, rule);
-            add_dry_friction(&mut self.problem, &self.start.speeds, hinge, rule);
+            add_limit(&mut self.problem, &self.start.speeds, hinge, *position);
+            add_dry_friction(&mut self.problem, &self.start.speeds, hinge);
         }
         for ball in &layout.balls {
             let first = &layout.hinges[ball.first];
@@ -129,32 +150,42 @@ impl Constraints {
             let distance = f64::from(largest - first.plan.margin) - dot(&turn, &axis);
             if distance < 0.0 {
                 let inward = axis.map(|part| -part);
-                add_end(&mut self.problem, &self.start.speeds, (first, &inward), distance, rule);
+                add_end(&mut self.problem, &self.start.speeds, (first, &inward), distance);
             }
         }
-        couplings::add(&mut self.problem, &self.start, robot, rule);
+        couplings::add(&mut self.problem, &self.start, robot);
         for free in &layout.free_frictions {
-            add_free_friction(&mut self.problem, &self.start, free, rule);
+            add_free_friction(&mut self.problem, &self.start, free);
         }
-        self.touching.add(robot.blueprint(), physics, &self.start, &mut self.problem, rule);
+        self.touching.add(robot.blueprint(), physics, &self.start, &mut self.problem);
     }
 
-    /// Adds the change to the velocities, and moves the robot with them.
-    fn apply(&mut self, robot: &Robot, physics: &mut PhysicsWorld) -> bool {
+    /// Moves the robot from `start` for a step with the velocities `moving`, and sets its velocities. Returns whether they
+    /// are finite.
+    fn go(
+        &self,
+        robot: &Robot,
+        physics: &mut PhysicsWorld,
+        start: &Motion,
+        [moving, speeds]: [&[f64]; 2],
+    ) -> bool {
         let layout = robot.layout();
         let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
-        let mut speeds = multibody.generalized_velocity_mut();
-        for ((speed, start), change) in speeds.iter_mut().zip(&self.start.speeds).zip(&self.change)
-        {
-            *speed = (start + change) as f32;
-        }
-        if speeds.iter().any(|speed| !speed.is_finite()) {
+        let write = |multibody: &mut Multibody, speeds: &[f64]| {
+            let mut to = multibody.generalized_velocity_mut();
+            to.iter_mut().zip(speeds).for_each(|(to, speed)| *to = *speed as f32);
+            to.iter().all(|speed| speed.is_finite())
+        };
+        if !write(multibody, moving) {
             return false;
         }
         let joints = layout.joints.iter().zip(&robot.blueprint().links);
-        for (joint, start) in joints.zip(&self.start.links) {
+        for (joint, start) in joints.zip(&start.links) {
             move_joint(multibody, joint, start, self.step_secs as f32);
+        }
+        if !write(multibody, speeds) {
+            return false;
         }
         multibody.forward_kinematics(&physics.bodies, false);
         place(physics, layout.multibody);
@@ -162,27 +193,8 @@ impl Constraints {
     }
 }
 
-/// How a constraint's reference acceleration follows from its motion.
-#[derive(Clone, Copy)]
-struct Rule {
-    integration: Integration,
-    step_secs: f64,
-}
-
-impl Rule {
-    fn aim(&self, softness: &Softness, position: Option<f64>, speed: f64) -> f64 {
-        softness.reference_acceleration(self.integration, self.step_secs, position, speed)
-    }
-}
-
 /// Adds the ends of a hinge's range that it has passed.
-fn add_limit(
-    problem: &mut ConstraintProblem,
-    speeds: &[f64],
-    hinge: &HingeMap,
-    position: f64,
-    rule: Rule,
-) {
+fn add_limit(problem: &mut ConstraintProblem, speeds: &[f64], hinge: &HingeMap, position: f64) {
     let Some(range) = hinge.plan.range else { return };
     let margin = f64::from(hinge.plan.margin);
     let [low, high] = range.map(f64::from);
@@ -192,7 +204,7 @@ fn add_limit(
             continue;
         }
         let direction = inward * f64::from(hinge.plan.axis.sign);
-        add_end(problem, speeds, (hinge, &[direction]), distance, rule);
+        add_end(problem, speeds, (hinge, &[direction]), distance);
     }
 }
 
@@ -203,35 +215,29 @@ fn add_end(
     speeds: &[f64],
     (hinge, inward): (&HingeMap, &[f64]),
     distance: f64,
-    rule: Rule,
 ) {
     let dofs = hinge.dof..hinge.dof + inward.len();
     problem.add_row()[dofs.clone()].copy_from_slice(inward);
     let compliance = f64::from(hinge.plan.limit.compliance(-distance as f32));
-    let aim = rule.aim(&hinge.plan.limit, Some(distance), dot(inward, &speeds[dofs]));
+    let aim = hinge.plan.limit.reference_acceleration(Some(distance), dot(inward, &speeds[dofs]));
     problem.set_row(aim, compliance * f64::from(hinge.inverse_inertia));
     problem.close(Kind::Push);
 }
 
-fn add_dry_friction(problem: &mut ConstraintProblem, speeds: &[f64], hinge: &HingeMap, rule: Rule) {
+fn add_dry_friction(problem: &mut ConstraintProblem, speeds: &[f64], hinge: &HingeMap) {
     if hinge.plan.friction <= 0.0 {
         return;
     }
     let softness = &hinge.plan.friction_softness;
     problem.add_row()[hinge.dof] = 1.0;
     let compliance = f64::from(softness.compliance(0.0));
-    let aim = rule.aim(softness, None, speeds[hinge.dof]);
+    let aim = softness.reference_acceleration(None, speeds[hinge.dof]);
     problem.set_row(aim, compliance * f64::from(hinge.inverse_inertia));
     problem.close(Kind::Bounded(f64::from(hinge.plan.friction)));
 }
 
 /// Adds the dry friction of a free joint: along the axes of the world, and about those of the link.
-fn add_free_friction(
-    problem: &mut ConstraintProblem,
-    start: &Motion,
-    free: &FreeFriction,
-    rule: Rule,
-) {
+fn add_free_friction(problem: &mut ConstraintProblem, start: &Motion, free: &FreeFriction) {
     let softness = &free.plan.friction_softness;
     let turn = start.links[free.link].pose.rotation;
     let axes = [Vector::X, Vector::Y, Vector::Z];
@@ -244,7 +250,7 @@ fn add_free_friction(
             row.iter_mut().zip(axis.to_array()).for_each(|(to, part)| *to = f64::from(part));
             let speeds = row.iter().zip(&start.speeds[first..]);
             let speed = speeds.map(|(part, speed)| part * speed).sum();
-            let aim = rule.aim(softness, None, speed);
+            let aim = softness.reference_acceleration(None, speed);
             problem.set_row(aim, f64::from(softness.compliance(0.0)) * inverse);
             problem.close(Kind::Bounded(f64::from(free.plan.friction)));
         }

@@ -35,6 +35,8 @@ struct Motor {
     control: f32,
     /// 0 without one.
     activation: f32,
+    /// Activation before the step.
+    before: f32,
 }
 
 /// Drive of one hinge. Angles, speeds and torques have the model's sign.
@@ -71,9 +73,9 @@ impl Motor {
     /// What its gain multiplies in a step, after which its activation is that at the end of the step.
     fn step(&mut self, step_secs: f32) -> f32 {
         let Some(own) = &self.plan.activation else { return self.control };
-        let before = self.activation;
-        self.activation = own.next(before, self.control, step_secs);
-        if own.is_early { self.activation } else { before }
+        self.before = self.activation;
+        self.activation = own.next(self.before, self.control, step_secs);
+        if own.is_early { self.activation } else { self.before }
     }
 }
 
@@ -88,8 +90,12 @@ impl HingeDrives {
             springs: layout.hinges.iter().map(spring).collect(),
             step_secs,
             motors: {
-                let still =
-                    |plan: &MotorPlan| Motor { plan: plan.clone(), control: 0.0, activation: 0.0 };
+                let still = |plan: &MotorPlan| Motor {
+                    plan: plan.clone(),
+                    control: 0.0,
+                    activation: 0.0,
+                    before: 0.0,
+                };
                 blueprint.motors.iter().map(still).collect()
             },
             dampings: layout.hinges.iter().map(|hinge| hinge.plan.damping).collect(),
@@ -134,6 +140,12 @@ impl HingeDrives {
     /// The last control of a motor, clamped; 0 without one.
     pub(crate) fn control(&self, motor: usize) -> f32 {
         self.motors[motor].control
+    }
+
+    /// Applies the torques of a later stage of a physics step, whose activations are those before it.
+    pub(crate) fn apply_again(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
+        self.motors.iter_mut().for_each(|motor| motor.activation = motor.before);
+        self.apply(robot, hinges);
     }
 
     /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A

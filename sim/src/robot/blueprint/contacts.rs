@@ -152,6 +152,9 @@ impl Blueprint {
                 "needs a model without equalities, ball joints, limits or friction of tendons, and friction of a free joint",
             );
         }
+        if self.fluid.is_some() {
+            return reason("needs a model without the `density` and `viscosity` of a fluid");
+        }
         if self.contacts.cone == Cone::Elliptic {
             let what = "friction is limited by a pyramid, not by an elliptic cone";
             self.left_out.push(what.to_owned());

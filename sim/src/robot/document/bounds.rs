@@ -19,7 +19,7 @@ const fn row(attributes: &'static [&'static str], [low, high]: [f64; 2]) -> Boun
     Bounds { attributes, low, high, smallest: 0.0, unit: "" }
 }
 
-const ALL: [Bounds; 19] = [
+const ALL: [Bounds; 22] = [
     Bounds { unit: " s", ..row(&["timestep"], [1e-5, 0.1]) },
     Bounds { unit: " m/s^2", ..row(&["gravity"], [-1e4, 1e4]) },
     Bounds { unit: " m", ..row(&["pos", "fromto", "anchor", "vertex"], [-1e4, 1e4]) },
@@ -27,6 +27,9 @@ const ALL: [Bounds; 19] = [
     Bounds { unit: " m", ..row(&["margin"], [0.0, 10.0]) },
     Bounds { unit: " kg", smallest: 1e-12, ..row(&["mass"], [0.0, 1e9]) },
     Bounds { unit: " kg/m^3", smallest: 1e-9, ..row(&["density"], [0.0, 1e9]) },
+    Bounds { unit: " Pa s", ..row(&["viscosity"], [0.0, 1e6]) },
+    Bounds { unit: " m/s", ..row(&["wind"], [-1e3, 1e3]) },
+    row(&["fitscale"], [1e-6, 1e6]),
     Bounds { unit: " kg m^2", smallest: 1e-15, ..row(&["diaginertia"], [0.0, 1e12]) },
     row(&["boundmass", "boundinertia", "inheritrange", "solmix"], [0.0, 1e9]),
     row(&["axis", "quat", "axisangle", "euler", "xyaxes", "zaxis", "scale"], [-1e6, 1e6]),

@@ -4,31 +4,49 @@ use std::collections::BTreeMap;
 
 use super::super::blueprint::HeightField;
 use super::super::document::Element;
+use super::super::folder::Folder;
+use super::super::heights::{self, MOST_HEIGHTS};
+use super::meshes::{Files, asset_name};
 
-/// Most heights of a field.
-const MOST_HEIGHTS: usize = 1 << 20;
-const KNOWN: [&str; 5] = ["name", "nrow", "ncol", "size", "elevation"];
+const KNOWN: [&str; 7] = ["name", "file", "content_type", "nrow", "ncol", "size", "elevation"];
 
 /// The height fields of a document, by name.
 pub(super) fn read(root: &Element) -> BTreeMap<String, Element> {
     let fields = root.all("asset").flat_map(|section| section.all("hfield"));
-    fields.map(|field| (field.text("name").unwrap_or_default().to_owned(), field.clone())).collect()
+    fields.map(|field| (asset_name(field), field.clone())).collect()
 }
 
 /// The height field that a shape names.
 pub(super) fn field(
     geom: &Element,
-    fields: &BTreeMap<String, Element>,
+    (fields, files): (&BTreeMap<String, Element>, &Files),
+    folder: &mut Folder<'_>,
 ) -> Result<HeightField, String> {
     let name = geom.text("hfield").ok_or_else(|| geom.refuse("it names no `hfield`; add one"))?;
     let asset = fields.get(name);
     let known = || fields.keys().map(String::as_str);
     let asset = asset.ok_or_else(|| geom.refuse_name("hfield", "height field", known()))?;
-    if asset.text("file").is_some() {
-        let reason = "a file with heights is not supported; state `nrow`, `ncol` and `elevation`";
-        return Err(asset.refuse(reason));
-    }
     asset.only(&[&KNOWN])?;
+    let (columns, stated) = match files.read(asset, folder)? {
+        Some((path, bytes)) => {
+            heights::read(&path, &bytes).map_err(|reason| asset.refuse(reason))?
+        }
+        None => stated(asset)?,
+    };
+    let size = asset.numbers::<4>("size")?;
+    let [x, y, top, _] = size.ok_or_else(|| asset.refuse("`size` must have 4 numbers"))?;
+    if [x, y, top].iter().any(|size| !(1e-6..=1e4).contains(size)) {
+        return Err(asset.refuse("`size` must be positive and at most 1e4 m"));
+    }
+    let low = stated.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = stated.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let scale = if high > low { top / (high - low) } else { 0.0 };
+    let heights = stated.iter().map(|height| ((height - low) * scale) as f32).collect();
+    Ok(HeightField { half_sizes: [x as f32, y as f32], columns, heights })
+}
+
+/// Number of columns, and heights that the element states.
+fn stated(asset: &Element) -> Result<(usize, Vec<f64>), String> {
     let count = |key: &str| {
         let count = asset.integer(key, 0)?;
         let fits = (2..=MOST_HEIGHTS as i64).contains(&count);
@@ -36,22 +54,13 @@ pub(super) fn field(
         if fits { Ok(count as usize) } else { Err(why()) }
     };
     let (rows, columns) = (count("nrow")?, count("ncol")?);
-    let size = asset.numbers::<4>("size")?;
-    let [x, y, top, _] = size.ok_or_else(|| asset.refuse("`size` must have 4 numbers"))?;
-    if rows * columns > MOST_HEIGHTS || [x, y, top].iter().any(|size| !(1e-6..=1e4).contains(size))
-    {
-        let why =
-            format!("it must have at most {MOST_HEIGHTS} heights and positive sizes up to 1e4 m");
-        return Err(asset.refuse(why));
+    if rows * columns > MOST_HEIGHTS {
+        return Err(asset.refuse(format!("it must have at most {MOST_HEIGHTS} heights")));
     }
     let stated = asset.list("elevation")?.unwrap_or_else(|| vec![0.0; rows * columns]);
     if stated.len() != rows * columns {
         let why = format!("`elevation` must have {} numbers, has {}", rows * columns, stated.len());
         return Err(asset.refuse(why));
     }
-    let low = stated.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = stated.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let scale = if high > low { top / (high - low) } else { 0.0 };
-    let heights = stated.iter().map(|height| ((height - low) * scale) as f32).collect();
-    Ok(HeightField { half_sizes: [x as f32, y as f32], columns, heights })
+    Ok((columns, stated))
 }

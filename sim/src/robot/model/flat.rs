@@ -1,6 +1,6 @@
 //! Writes a model that names other files as one document without files: included files stand in it, meshes that collide
-//! are the corners of their hulls, and masses of meshes are stated. All other meshes are left out, and so is what has no
-//! effect on the motion.
+//! are the corners of their hulls, shapes that are fitted to meshes have their sizes, heights of fields and masses of meshes
+//! are stated. All other meshes are left out, and so is what has no effect on the motion.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
@@ -8,18 +8,21 @@ use std::sync::Arc;
 
 use super::super::document::Element;
 use super::super::folder::Folder;
+use super::super::heights;
 use super::super::inertia::{MassSum, Solid};
 use super::bodies::{self, Body};
 use super::context::Context;
 use super::geoms::Geom;
 use super::meshes::asset_name;
 use super::options::MassSource;
-use crate::scene::Hull;
+use crate::scene::{Hull, Shape};
 
 /// Sections without effect on the motion.
 const SECTIONS: [&str; 5] = ["size", "statistic", "visual", "custom", "sensor"];
 /// Paths of files, which the document does not name any more.
 const PATHS: [&str; 4] = ["meshdir", "assetdir", "texturedir", "strippath"];
+/// Attributes that a shape which is fitted to a mesh loses.
+const FITTED: [&str; 7] = ["mesh", "material", "fitscale", "euler", "axisangle", "xyaxes", "zaxis"];
 /// Corners of a mesh that only marks the base of a robot, m.
 const MARK: &str = "0 0 0 0.001 0 0 0 0.001 0 0 0 0.001";
 
@@ -33,9 +36,11 @@ struct Rest {
 }
 
 /// What remains of a shape.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(PartialEq)]
 enum Kept {
     Whole,
+    /// All but these attributes, which replace the mesh that it is fitted to.
+    Fitted(Vec<(String, String)>),
     Nothing,
     /// Its existence: a base without any shape would not be a link.
     Mark,
@@ -69,7 +74,7 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
                     |name: &str| source != MassSource::Shapes && name == "inertiafromgeom";
                 section.attributes.retain(|name, _| keep(name) || is_source(name));
             }
-            "asset" => assets(section, &context, &hulls)?,
+            "asset" => assets(section, (&context, folder), &hulls)?,
             "default" => without_materials(section),
             _ => {}
         }
@@ -90,6 +95,10 @@ fn kept_shapes(
 ) -> Result<VecDeque<Kept>, String> {
     let mut shapes = VecDeque::new();
     for geom in &body.geoms {
+        if !geom.is_mesh() && geom.element.text("mesh").is_some() {
+            shapes.push_back(Kept::Fitted(fitted(geom, context, folder)?));
+            continue;
+        }
         let is_kept = !geom.is_mesh() || geom.collides();
         if let Some(name) = geom.element.text("mesh").filter(|_| geom.is_mesh() && is_kept) {
             let hull = context.meshes.hull(&geom.element, folder)?;
@@ -98,6 +107,32 @@ fn kept_shapes(
         shapes.push_back(if is_kept { Kept::Whole } else { Kept::Nothing });
     }
     Ok(shapes)
+}
+
+/// Size and pose of a shape that is fitted to a mesh.
+fn fitted(
+    geom: &Geom,
+    context: &mut Context,
+    folder: &mut Folder<'_>,
+) -> Result<Vec<(String, String)>, String> {
+    let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+    let pose = context.options.angles.frame(&geom.element)?.pose() * geom.inside(&pose);
+    let size = match shape {
+        Shape::Sphere { radius } => vec![radius],
+        Shape::Capsule { radius, half_length } | Shape::Cylinder { radius, half_length } => {
+            vec![radius, half_length]
+        }
+        Shape::Box { half_sizes } | Shape::Ellipsoid { half_sizes } => half_sizes.to_vec(),
+        Shape::Hull(_) => return Err(geom.element.refuse("it is fitted to no mesh")),
+    };
+    let [x, y, z, w] = pose.rotation.to_array();
+    let position = pose.translation.to_array();
+    let attributes = [("size", &*size), ("pos", &position), ("quat", &[w, x, y, z])];
+    Ok(attributes.map(|(name, numbers)| (name.to_owned(), text(numbers))).into())
+}
+
+fn text<T: ToString>(numbers: &[T]) -> String {
+    numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
 }
 
 /// Mass and inertia of a body to which meshes contribute.
@@ -125,7 +160,7 @@ fn mark_base(bodies: &[Body], rests: &mut [Rest], hulls: &mut Hulls) {
     let Some(index) = bodies.iter().skip(1).position(|body| shaped(&body)) else { return };
     let (body, rest) = (&bodies[index + 1], &mut rests[index + 1]);
     let planes = body.geoms.iter().map(Geom::is_plane);
-    let stays = |(kept, is_plane): (&Kept, bool)| *kept == Kept::Whole && !is_plane;
+    let stays = |(kept, is_plane): (&Kept, bool)| *kept != Kept::Nothing && !is_plane;
     if !bodies::has_base(bodies) || rest.shapes.iter().zip(planes).any(stays) {
         return;
     }
@@ -138,11 +173,18 @@ fn mark_base(bodies: &[Body], rests: &mut [Rest], hulls: &mut Hulls) {
 }
 
 /// Leaves the meshes that shapes need, as lists of corners.
-fn assets(section: &mut Element, context: &Context, hulls: &Hulls) -> Result<(), String> {
+fn assets(
+    section: &mut Element,
+    (context, folder): (&Context, &mut Folder<'_>),
+    hulls: &Hulls,
+) -> Result<(), String> {
     for mut asset in std::mem::take(&mut section.children) {
         let name = match asset.tag.as_str() {
             "mesh" => asset_name(&context.classes.resolve(&asset, None)?),
             "hfield" => {
+                if let Some((path, bytes)) = context.meshes.files.read(&asset, folder)? {
+                    state_heights(&mut asset, &path, &bytes)?;
+                }
                 section.children.push(asset);
                 continue;
             }
@@ -158,9 +200,23 @@ fn assets(section: &mut Element, context: &Context, hulls: &Hulls) -> Result<(),
     Ok(())
 }
 
+/// Replaces the file of a height field by its heights.
+fn state_heights(asset: &mut Element, path: &str, bytes: &[u8]) -> Result<(), String> {
+    let read = heights::read(path, bytes);
+    let (columns, heights) = read.map_err(|reason| asset.refuse(reason))?;
+    let attributes = [
+        ("name", asset_name(asset)),
+        ("nrow", (heights.len() / columns).to_string()),
+        ("ncol", columns.to_string()),
+        ("elevation", text(&heights)),
+    ];
+    asset.attributes.retain(|name, _| name == "size");
+    asset.attributes.extend(attributes.map(|(name, text)| (name.to_owned(), text)));
+    Ok(())
+}
+
 fn corners(hull: &Hull) -> String {
-    let numbers = hull.points.iter().flatten().map(|number| number.to_string());
-    numbers.collect::<Vec<_>>().join(" ")
+    text(hull.points.as_flattened())
 }
 
 /// Removes the defaults of meshes, which have their final coordinates, and of materials.
@@ -190,6 +246,10 @@ fn rewrite(
             "geom" => match rests[own].shapes.pop_front() {
                 Some(Kept::Nothing) | None => continue,
                 Some(Kept::Whole) => drop(child.attributes.remove("material")),
+                Some(Kept::Fitted(attributes)) => {
+                    child.attributes.retain(|name, _| !FITTED.contains(&name.as_str()));
+                    child.attributes.extend(attributes);
+                }
                 Some(Kept::Mark) => {
                     let seen = [("contype", "0"), ("conaffinity", "0"), ("mass", "0")];
                     child.attributes.remove("material");
@@ -214,8 +274,6 @@ fn rewrite(
 }
 
 fn inertial(body: &Element, solid: &Solid) -> Element {
-    let text =
-        |numbers: &[f64]| numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
     let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = solid.inertia;
     let attributes = [
         ("pos", text(&solid.centre)),

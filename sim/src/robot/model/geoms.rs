@@ -19,6 +19,8 @@ const KNOWN: [&str; 10] =
 /// Attributes without effect on the motion; `hfield` belongs to a type that is refused.
 const SKIPPED: [&str; 9] =
     ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale", "gap"];
+/// Largest size of a shape that is fitted to a mesh, m.
+const LARGEST_SIZE: f64 = 1e4;
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 
@@ -85,6 +87,11 @@ impl Geom {
         self.kind() == "mesh"
     }
 
+    /// Whether MuJoCo's other model of a fluid applies to its body.
+    pub(super) fn is_ellipsoid_in_fluid(&self) -> bool {
+        self.element.text("fluidshape") == Some("ellipsoid")
+    }
+
     pub(super) fn is_plane(&self) -> bool {
         self.kind() == "plane"
     }
@@ -109,15 +116,6 @@ impl Geom {
         if self.is_mesh() {
             return Ok((Shape::Hull(meshes.hull(element, folder)?), self.frame.pose()));
         }
-        if element.text("mesh").is_some() {
-            let reason =
-                "a primitive shape that is fitted to a mesh is not supported; state its `size`";
-            return Err(element.refuse(reason));
-        }
-        let size = element.list("size")?.unwrap_or_default();
-        if size.len() > 3 {
-            return Err(element.refuse_for("size", "`size` must have at most 3 numbers"));
-        }
         let (count, after) = match self.kind() {
             "sphere" => (1, 1),
             "capsule" | "cylinder" => (2, 1),
@@ -127,6 +125,13 @@ impl Geom {
                 return Err(element.refuse_for("type", reason));
             }
         };
+        if element.text("mesh").is_some() {
+            return self.fitted(meshes, folder);
+        }
+        let size = element.list("size")?.unwrap_or_default();
+        if size.len() > 3 {
+            return Err(element.refuse_for("size", "`size` must have at most 3 numbers"));
+        }
         let needed = if self.ends.is_some() { after } else { count };
         if size.len() < needed || size[..needed].contains(&0.0) {
             let reason = format!("`size` must have {needed} positive numbers");
@@ -149,6 +154,48 @@ impl Geom {
             _ => vec![size[0], size[0], half_length],
         };
         Ok((form(self.kind(), &size), pose))
+    }
+
+    /// A primitive form in place of a mesh, with the inertia of the same box as the mesh, and its pose in its body.
+    fn fitted(
+        &self,
+        meshes: &mut Meshes,
+        folder: &mut Folder<'_>,
+    ) -> Result<(Shape, Pose), String> {
+        let element = &self.element;
+        if self.ends.is_some() {
+            return Err(
+                element.refuse_for("fromto", "a shape with a `mesh` has no `fromto`; remove it")
+            );
+        }
+        let hull = meshes.hull(element, folder)?;
+        let (centre, [x, y, z], axes) = meshes.solid(element, &hull)?.half_box();
+        let size = match self.kind() {
+            "sphere" => [(x + y + z) / 3.0, 0.0, 0.0],
+            "capsule" => [(x + y) / 2.0, (z - (x + y) / 4.0).max(0.0), 0.0],
+            "cylinder" => [(x + y) / 2.0, z, 0.0],
+            _ => [x, y, z],
+        };
+        let scale = element.number("fitscale", 1.0)?;
+        let size = size.map(|length| (scale * length) as f32);
+        if !(size[0] > 0.0 && size.iter().all(|length| f64::from(*length) <= LARGEST_SIZE)) {
+            return Err(
+                element.refuse("its mesh is flat or its `fitscale` too large; state its `size`")
+            );
+        }
+        let inside = Pose::from_parts(vector(centre), axes);
+        Ok((form(self.kind(), &size), self.frame.pose() * inside))
+    }
+
+    /// MuJoCo's axes of the shape in its body; those of shapes with ends turn about the line between them.
+    pub(super) fn axes(&self, pose: &Pose) -> Rotation {
+        let turned = self.ends.and_then(|[from, to]| between([to, from]));
+        turned.map_or(*pose, |(_, pose)| pose).rotation
+    }
+
+    /// A pose in the shape's body as one in the shape's stated frame.
+    pub(super) fn inside(&self, pose: &Pose) -> Pose {
+        self.frame.pose().inv_mul(pose)
     }
 
     /// Mass, mass centre and inertia of the shape in its link's frame.
@@ -197,7 +244,10 @@ impl Geom {
         let placed = frame.then(&self.frame).pose();
         let (form, pose) = match self.kind() {
             "plane" => (GroundForm::Plane, placed),
-            "hfield" => (GroundForm::Field(fields::field(&self.element, &context.fields)?), placed),
+            "hfield" => {
+                let sources = (&context.fields, &context.meshes.files);
+                (GroundForm::Field(fields::field(&self.element, sources, folder)?), placed)
+            }
             _ => {
                 let (shape, pose) = self.shape(&mut context.meshes, folder)?;
                 (GroundForm::Solid(shape), frame.pose() * pose)

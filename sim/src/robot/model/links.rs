@@ -136,6 +136,7 @@ impl<'a> Links<'a> {
         let inertial = context.blockers.keep(inertial).flatten();
         let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
         let has_contacts = body.geoms.iter().any(Geom::collides);
+        let mut axes = None;
         let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {
             let weighs = inertial.is_none() && geom.weighs();
@@ -145,6 +146,8 @@ impl<'a> Links<'a> {
             }
             let shape = geom.shape(&mut context.meshes, folder);
             let Some((shape, pose)) = context.blockers.keep(shape) else { continue };
+            let is_alone = weighs && body.geoms.len() == 1 && !geom.is_mesh();
+            axes = is_alone.then(|| frame.rotation * geom.axes(&pose));
             let pose = *frame * pose;
             let solid = weighs.then(|| geom.solid(&shape, &pose, &context.meshes));
             solids.extend(solid.and_then(|solid| context.blockers.keep(solid)));
@@ -170,6 +173,9 @@ impl<'a> Links<'a> {
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
             self.mass_centres[index] = centre;
+            if body.geoms.iter().all(|geom| !geom.is_ellipsoid_in_fluid()) {
+                context.options.fluid.add(link, &own.solid(), axes);
+            }
             context.blockers.keep(self.carry(body, link));
         }
     }

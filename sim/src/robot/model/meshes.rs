@@ -32,8 +32,30 @@ const KNOWN: [&str; 16] = [
 /// The meshes of a document, by name.
 pub(super) struct Meshes {
     assets: BTreeMap<String, Asset>,
+    pub(super) files: Files,
+}
+
+/// Where the files of meshes and height fields are.
+pub(super) struct Files {
     folder: String,
     paths: Paths,
+}
+
+impl Files {
+    /// Path and content of the file that an element names, if it names one.
+    pub(super) fn read(
+        &self,
+        element: &Element,
+        folder: &mut Folder<'_>,
+    ) -> Result<Option<(String, Vec<u8>)>, String> {
+        let Some(file) = element.text("file") else { return Ok(None) };
+        let file = match self.paths {
+            Paths::Whole => file,
+            Paths::NameOnly => file.rsplit(['/', '\\']).next().unwrap_or(file),
+        };
+        let read = folder.read(&self.folder, file);
+        read.map(Some).map_err(|reason| element.refuse(reason))
+    }
 }
 
 struct Asset {
@@ -62,7 +84,7 @@ impl Meshes {
         }
         let folder = options.mesh_folder.clone();
         let paths = if options.strips_paths { Paths::NameOnly } else { Paths::Whole };
-        Ok(Self { assets, folder, paths })
+        Ok(Self { assets, files: Files { folder, paths } })
     }
 
     /// Convex hull of the mesh that a shape names.
@@ -81,7 +103,7 @@ impl Meshes {
         if let Some((_, hull)) = &asset.loaded {
             return Ok(Arc::clone(hull));
         }
-        let mesh = asset.load(&self.folder, self.paths, folder)?;
+        let mesh = asset.load(&self.files, folder)?;
         let hull = mesh.hull().map_err(|reason| asset.element.refuse(reason))?;
         let (_, hull) = asset.loaded.insert((mesh, Arc::new(hull)));
         Ok(Arc::clone(hull))
@@ -107,11 +129,11 @@ impl Meshes {
     }
 }
 
-/// Name of a mesh, which is that of its file unless stated; empty without both.
-pub(super) fn asset_name(mesh: &Element) -> String {
-    let file = mesh.text("file").map(|file| file.rsplit(['/', '\\']).next().unwrap_or(file));
+/// Name of a mesh or height field, which is that of its file unless stated; empty without both.
+pub(super) fn asset_name(asset: &Element) -> String {
+    let file = asset.text("file").map(|file| file.rsplit(['/', '\\']).next().unwrap_or(file));
     let stem = file.map(|file| file.rsplit_once('.').map_or(file, |(stem, _)| stem));
-    mesh.text("name").or(stem).unwrap_or_default().to_owned()
+    asset.text("name").or(stem).unwrap_or_default().to_owned()
 }
 
 /// What of the path of a mesh's file counts.
@@ -123,19 +145,12 @@ enum Paths {
 }
 
 impl Asset {
-    fn load(&self, subfolder: &str, paths: Paths, folder: &mut Folder<'_>) -> Result<Mesh, String> {
+    fn load(&self, files: &Files, folder: &mut Folder<'_>) -> Result<Mesh, String> {
         let element = &self.element;
         element.only(&[&KNOWN])?;
         let refused = |reason: String| element.refuse(reason);
-        let mesh = match element.text("file") {
-            Some(file) => {
-                let file = match paths {
-                    Paths::Whole => file,
-                    Paths::NameOnly => file.rsplit(['/', '\\']).next().unwrap_or(file),
-                };
-                let (path, bytes) = folder.read(subfolder, file).map_err(refused)?;
-                Mesh::read(&path, &bytes).map_err(refused)?
-            }
+        let mesh = match files.read(element, folder)? {
+            Some((path, bytes)) => Mesh::read(&path, &bytes).map_err(refused)?,
             None => Mesh::new(self.points("vertex")?, self.triangles()?).map_err(refused)?,
         };
         if element.text("refpos").or(element.text("refquat")).is_some() {

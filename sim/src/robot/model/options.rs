@@ -4,6 +4,7 @@ use rapier3d::math::Vector;
 
 use super::super::blueprint::{Cone, ContactRules};
 use super::super::document::Element;
+use super::super::fluid::Fluid;
 use super::super::frame::{Angles, vector};
 use super::super::softness::Integration;
 use super::super::surface::ContactOverride;
@@ -69,14 +70,12 @@ const COMPILER: [&str; 22] = [
     "saveinertial",
 ];
 /// Settings that must have these values.
-const FIXED: [(&str, &str, &str); 8] = [
+const FIXED: [(&str, &str, &str); 6] = [
+    ("compiler", "fitaabb", "false"),
     ("compiler", "coordinate", "local"),
     ("compiler", "balanceinertia", "false"),
     ("compiler", "exactmeshinertia", "false"),
     ("compiler", "alignfree", "false"),
-    ("option", "density", "0"),
-    ("option", "viscosity", "0"),
-    ("option", "wind", "0 0 0"),
     ("option", "magnetic", "0 -0.5 0"),
 ];
 /// Settings of MuJoCo's solver and collision detection, which have others here, and of contacts, which are read.
@@ -153,6 +152,8 @@ pub(super) struct Options {
     pub(super) integration: Integration,
     pub(super) has_contacts: bool,
     pub(super) contacts: ContactRules,
+    /// The fluid that fills the world, without boxes.
+    pub(super) fluid: Fluid,
     /// Whether equality constraints act.
     pub(super) has_equalities: bool,
     /// Whether joints have limits.
@@ -208,6 +209,7 @@ impl Options {
             has_limits: constraints && limits,
             has_friction: constraints && friction,
             contacts: contact_rules(&option)?,
+            fluid: fluid(&option)?,
         };
         if flags.flag("gravity")? == Some(false) {
             options.gravity = Vector::ZERO;
@@ -329,6 +331,15 @@ fn contact_rules(option: &Element) -> Result<ContactRules, String> {
         pairs: Vec::new(),
         excluded: Vec::new(),
         links_touch: false,
+    })
+}
+
+fn fluid(option: &Element) -> Result<Fluid, String> {
+    Ok(Fluid {
+        density: option.number("density", 0.0)?,
+        viscosity: option.number("viscosity", 0.0)?,
+        wind: option.numbers("wind")?.unwrap_or_default(),
+        boxes: Vec::new(),
     })
 }
 

@@ -6,7 +6,6 @@ use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
 use rapier3d::prelude::PhysicsWorld;
 
-use super::Rule;
 use super::motion::{LinkMotion, Motion, wide};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
@@ -164,7 +163,6 @@ impl Touching {
         physics: &PhysicsWorld,
         start: &Motion,
         problem: &mut ConstraintProblem,
-        rule: Rule,
     ) {
         self.normals.clear();
         for pair in physics.narrow_phase.contact_pairs() {
@@ -172,7 +170,7 @@ impl Touching {
             let colliders = colliders.map(|handle| &physics.colliders[handle]);
             let [one, other] = colliders.map(ShapeTag::of);
             if self.meet(one, other) {
-                self.add_pair(blueprint, colliders, start, (&mut *problem, rule));
+                self.add_pair(blueprint, colliders, start, problem);
             }
         }
     }
@@ -182,7 +180,7 @@ impl Touching {
         blueprint: &Blueprint,
         colliders: [&Collider; 2],
         start: &Motion,
-        (problem, rule): (&mut ConstraintProblem, Rule),
+        problem: &mut ConstraintProblem,
     ) {
         let tags = colliders.map(ShapeTag::of);
         let shapes = tags.map(|tag| &self.shapes[tag.shape]);
@@ -224,7 +222,7 @@ impl Touching {
                     axes: frame(normal, along).map(wide),
                     position: f64::from(point.dist) - f64::from(plan.margin),
                 };
-                self.normals.push(contact.add(blueprint, &start.speeds, problem, rule));
+                self.normals.push(contact.add(blueprint, &start.speeds, problem));
             }
         }
         self.manifolds = manifolds;
@@ -245,7 +243,6 @@ impl Contact<'_> {
         blueprint: &Blueprint,
         speeds: &[f64],
         problem: &mut ConstraintProblem,
-        rule: Rule,
     ) -> (usize, usize) {
         let softness = &self.plan.softness;
         let compliance = f64::from(softness.compliance(-self.position as f32)) * self.inverse[0];
@@ -254,7 +251,7 @@ impl Contact<'_> {
         let impratio = blueprint.contacts.impratio;
         if frictions == 0 {
             self.fill(problem.add_row(), &[(0, 1.0)]);
-            let aim = rule.aim(softness, Some(self.position), speed(problem, speeds));
+            let aim = softness.reference_acceleration(Some(self.position), speed(problem, speeds));
             problem.set_row(aim, compliance);
             return (problem.close(Kind::Push), 1);
         }
@@ -265,7 +262,7 @@ impl Contact<'_> {
                     0 => (Some(self.position), 1.0),
                     k => (None, mu / self.plan.friction[k - 1]),
                 };
-                let aim = rule.aim(softness, position, speed(problem, speeds));
+                let aim = softness.reference_acceleration(position, speed(problem, speeds));
                 let share = if direction == 0 { 1.0 } else { ratio * ratio / impratio };
                 problem.set_scaled_row(aim, compliance, share);
             }
@@ -279,7 +276,8 @@ impl Contact<'_> {
             for sign in [1.0, -1.0] {
                 let friction = sign * self.plan.friction[direction - 1];
                 self.fill(problem.add_row(), &[(0, 1.0), (direction, friction)]);
-                let aim = rule.aim(softness, Some(self.position), speed(problem, speeds));
+                let aim =
+                    softness.reference_acceleration(Some(self.position), speed(problem, speeds));
                 problem.set_scaled_row(aim, compliance, 2.0 * mu * mu / impratio);
                 first = problem.close(Kind::Push);
             }

@@ -2,7 +2,6 @@
 
 use rapier3d::glamx::DVec3;
 
-use super::Rule;
 use super::motion::{LinkMotion, Motion, wide};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
@@ -10,17 +9,17 @@ use crate::robot::{
 };
 
 /// Adds all constraints of a robot's tendons and equalities.
-pub(super) fn add(problem: &mut ConstraintProblem, start: &Motion, robot: &Robot, rule: Rule) {
+pub(super) fn add(problem: &mut ConstraintProblem, start: &Motion, robot: &Robot) {
     let (blueprint, layout) = (robot.blueprint(), robot.layout());
     for equality in &blueprint.equalities {
-        add_equality(problem, start, (equality, robot), rule);
+        add_equality(problem, start, (equality, robot));
     }
     for (connection, inverse) in blueprint.connections.iter().zip(&layout.connection_inverses) {
-        add_connection(problem, start, (connection, *inverse), rule);
+        add_connection(problem, start, (connection, *inverse));
     }
     for (tendon, inverse) in blueprint.tendons.iter().zip(&layout.tendon_inverses) {
-        add_limit(problem, start, (tendon, layout, *inverse), rule);
-        add_friction(problem, start, (tendon, layout, *inverse), rule);
+        add_limit(problem, start, (tendon, layout, *inverse));
+        add_friction(problem, start, (tendon, layout, *inverse));
     }
 }
 
@@ -48,7 +47,6 @@ fn add_equality(
     problem: &mut ConstraintProblem,
     start: &Motion,
     (equality, robot): (&EqualityPlan, &Robot),
-    rule: Rule,
 ) {
     let layout = robot.layout();
     let side = |coupled: Coupled| match coupled {
@@ -72,7 +70,7 @@ fn add_equality(
         speed += fill(row, start, layout, (moved, -inward * slope));
         inverse += other;
     }
-    let aim = rule.aim(&equality.softness, Some(-off.abs()), speed);
+    let aim = equality.softness.reference_acceleration(Some(-off.abs()), speed);
     problem.set_row(aim, f64::from(equality.softness.compliance(off.abs() as f32)) * inverse);
     problem.close(Kind::Hold);
 }
@@ -93,7 +91,6 @@ fn add_connection(
     problem: &mut ConstraintProblem,
     start: &Motion,
     (connection, [inverse, turning_inverse]): (&ConnectionPlan, [f64; 2]),
-    rule: Rule,
 ) {
     let links = connection.ends.map(|end| end.link.map(|link| &start.links[link]));
     let [first, second] = [0, 1].map(|k| {
@@ -125,8 +122,7 @@ fn add_connection(
                 speed += part * start.speeds[dof];
             }
         }
-        let aim =
-            softness.acceleration_at(violation, rule.integration, rule.step_secs, [off, speed]);
+        let aim = softness.acceleration_at(violation, [off, speed]);
         problem.set_row(aim - drift, compliance * inverse);
         problem.close(Kind::Hold);
     }
@@ -165,7 +161,6 @@ fn add_limit(
     problem: &mut ConstraintProblem,
     start: &Motion,
     (tendon, layout, inverse): (&TendonPlan, &Layout, f64),
-    rule: Rule,
 ) {
     let Some(range) = tendon.range else { return };
     let [low, high] = range.map(f64::from);
@@ -174,7 +169,10 @@ fn add_limit(
         if distance < 0.0 {
             let speed = fill(problem.add_row(), start, layout, (&tendon.moved, inward));
             let compliance = f64::from(tendon.limit.compliance(-distance as f32));
-            problem.set_row(rule.aim(&tendon.limit, Some(distance), speed), compliance * inverse);
+            problem.set_row(
+                tendon.limit.reference_acceleration(Some(distance), speed),
+                compliance * inverse,
+            );
             problem.close(Kind::Push);
         }
     }
@@ -184,13 +182,12 @@ fn add_friction(
     problem: &mut ConstraintProblem,
     start: &Motion,
     (tendon, layout, inverse): (&TendonPlan, &Layout, f64),
-    rule: Rule,
 ) {
     if tendon.friction > 0.0 {
         let softness = &tendon.friction_softness;
         let speed = fill(problem.add_row(), start, layout, (&tendon.moved, 1.0));
         let compliance = f64::from(softness.compliance(0.0));
-        problem.set_row(rule.aim(softness, None, speed), compliance * inverse);
+        problem.set_row(softness.reference_acceleration(None, speed), compliance * inverse);
         problem.close(Kind::Bounded(f64::from(tendon.friction)));
     }
 }

@@ -8,7 +8,8 @@ use rapier3d::prelude::PhysicsWorld;
 use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
 use crate::robot::{
-    Blueprint, JointMap, JointPlan, Layout, LinkPlan, MapKind, ball_joint, ball_rotation, turned,
+    Blueprint, Fluid, JointMap, JointPlan, Layout, LinkPlan, MapKind, ball_joint, ball_rotation,
+    turned,
 };
 
 /// The motion at the start of a step. Velocities have the order of the multibody.
@@ -61,11 +62,32 @@ impl Motion {
             link.rates = rates(plan, &link, plan.parent.map(|parent| &self.links[parent]));
             self.links.push(link);
         }
+        if let Some(fluid) = &blueprint.fluid {
+            self.flow(fluid);
+        }
         self.hinges.clear();
         self.hinges.extend(layout.hinges.iter().map(|hinge| {
             let link = multibody.link(hinge.link).expect("the layout is this robot's");
             f64::from(hinge.position(link.joint()))
         }));
+    }
+
+    /// Adds the forces of a fluid.
+    fn flow(&mut self, fluid: &Fluid) {
+        let wind = DVec3::from_array(fluid.wind);
+        for body in &fluid.boxes {
+            let link = &mut self.links[body.link];
+            let pose = link.pose * body.pose;
+            let axes = DQuat::from_array(pose.rotation.to_array().map(f64::from));
+            let arm = wide(pose.translation) - link.mass_centre;
+            let [speed, spin] = link.velocity;
+            let inside = [speed + spin.cross(arm) - wind, spin]
+                .map(|velocity| (axes.inverse() * velocity).to_array());
+            let [force, torque] =
+                fluid.wrench(body.sizes, inside).map(|part| axes * DVec3::from_array(part));
+            link.pull[0] += force;
+            link.pull[1] += torque + arm.cross(force);
+        }
     }
 
     /// Writes the mass matrix with armature, and the forces of gravity, of the rotation of the links and from outside.
@@ -191,7 +213,7 @@ fn rates(plan: &LinkPlan, link: &LinkMotion, parent: Option<&LinkMotion>) -> [DV
     [on_base(anchor) + turning.cross(arm) + around(spin, arm), turning]
 }
 
-/// Moves a joint from its start with the velocities at the end of the step.
+/// Moves a joint from its start with the velocities of the multibody.
 pub(super) fn move_joint(
     multibody: &mut Multibody,
     (map, plan): (&JointMap, &LinkPlan),

@@ -75,8 +75,15 @@ fn everything_that_cannot_be_built_is_named_in_lines_of_their_own() {
 }
 
 #[test]
+fn a_second_end_of_the_root_is_ignored() {
+    let mjcf = document(LOPSIDED, "");
+    assert!(robot(&format!("{mjcf}\n</mujoco> </mujoco>\n")).is_ok());
+    assert!(robot(&format!("{mjcf}</body></mujoco>")).is_err());
+}
+
+#[test]
 fn a_default_is_named_with_its_own_line_and_the_element_that_has_it() {
-    let defaults = "<default>\n<joint stiffness=\"1\"/>\n</default><option viscosity=\"1\"/>\n<option density=\"0\"/>";
+    let defaults = "<default>\n<joint stiffness=\"1\"/>\n</default><option magnetic=\"0 0 1\"/>\n<option density=\"0\"/>";
     let free =
         "<body pos=\"0 0 1\"><joint name=\"root\" type=\"free\"/><geom size=\"0.1\"/></body>";
     let mjcf = document(free, "").replace("<worldbody>", &format!("{defaults}<worldbody>"));
@@ -84,7 +91,10 @@ fn a_default_is_named_with_its_own_line_and_the_element_that_has_it() {
     let stiffness = "line 2, <joint>: `stiffness` of a free joint must be 0; use <freejoint/>, or set stiffness=\"0\" here; \
         it is the default of line 6, <joint name=\"root\">";
     assert!(text.contains(stiffness), "{text}");
-    assert!(text.contains("line 3, <option>: viscosity=\"1\" is not supported; set 0"), "{text}");
+    assert!(
+        text.contains("line 3, <option>: magnetic=\"0 0 1\" is not supported; set 0 -0.5 0"),
+        "{text}"
+    );
 }
 
 /// In MuJoCo 4.0.0, `tendon_lengthspring` of these tendons is 0.523599 for the automatic length, less the 0.174533 of the

@@ -53,8 +53,6 @@ pub(super) fn assert_moves_as_in_mujoco(reference: &serde_json::Value, most: imp
 #[test]
 fn contacts_limits_and_dry_friction_move_robots_as_in_mujoco() {
     assert_moves_as_in_mujoco(&reference(), |name| match name {
-        // MuJoCo's Runge-Kutta integrator computes the forces four times in a step.
-        name if name.contains("Runge-Kutta") => 2e-2,
         // Both engines choose among many points.
         "box on a height field" => 2e-2,
         "ball on a height field" => 1e-3,

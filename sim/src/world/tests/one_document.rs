@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use rapier3d::math::Vector;
+
 use super::{robot, robot_of_files, trough};
 use crate::robot::{Blueprint, LinkPlan, Robot, ShapePlan, one_document};
 use crate::scene::Shape;
@@ -63,6 +65,8 @@ fn files(document: &str) -> BTreeMap<&'static str, String> {
         ("meshes/trough.obj", trough()),
         ("meshes/sub/trough.obj", trough()),
         ("meshes/wedge.obj", WEDGE.to_owned()),
+        // Two rows of two heights: 0, 2, 0.5 and 0 m.
+        ("meshes/hills.bin", "\u{2}\0\0\0\u{2}\0\0\0\0\0\0\0\0\0\0@\0\0\0?\0\0\0\0".to_owned()),
     ])
 }
 
@@ -151,6 +155,28 @@ fn a_model_written_as_one_document_has_the_masses_and_shapes_of_its_files() {
     assert_eq!(text.matches("<mesh ").count(), 2, "{text}");
     assert_eq!(text.matches("<inertial ").count(), 4, "{text}");
     assert!(!text.contains("trough\"") && !text.contains("material"), "{text}");
+}
+
+#[test]
+fn fitted_shapes_and_height_fields_of_files_are_stated() {
+    let fitted = "<frame pos=\"0 0.1 0\" euler=\"0 0.3 0\"><geom type=\"capsule\" mesh=\"trough\" \
+        fitscale=\"0.5\" euler=\"0.1 0 0\" pos=\"0 0 0.2\"/></frame>";
+    let document = WALKER
+        .replace("<geom type=\"box\" size=\"0.1 0.2 0.3\"/>", fitted)
+        .replace("<texture name", "<hfield file=\"hills.bin\" size=\"2 1 0.5 1\"/><texture name")
+        .replace("<light pos", "<geom type=\"hfield\" hfield=\"hills\"/><light pos");
+    let (direct, flat, text) = both(&document);
+    assert!(!text.contains("file="), "{text}");
+    let [expected, got] = [&direct, &flat].map(|robot| {
+        let grounds = format!("{:?}", robot.blueprint().grounds);
+        let capsule = |shape: &&ShapePlan| matches!(shape.shape, Shape::Capsule { .. });
+        (grounds, robot.blueprint().shapes().find(capsule).unwrap())
+    });
+    assert!(expected.0.contains("heights: [0.125, 0.0, 0.0, 0.5]"), "{}", expected.0);
+    assert_eq!(got.0, expected.0);
+    assert_eq!(got.1.shape, expected.1.shape);
+    let corner = |plan: &ShapePlan| (plan.pose * Vector::new(0.1, 0.2, 0.3)).to_array();
+    assert_near("a fitted capsule", &corner(got.1), &corner(expected.1));
 }
 
 #[test]

@@ -75,3 +75,16 @@ fn couplings_continue_from_a_restored_motion_bit_for_bit() {
         assert_continues_bit_for_bit([world(), world()], &at, &speeds, &controls);
     }
 }
+
+#[test]
+fn motions_in_a_fluid_and_with_runge_kutta_continue_bit_for_bit() {
+    let reference = reference();
+    for name in ["a body in a fluid", "a step of Runge and Kutta"] {
+        let expected = &reference["motions"][name];
+        let world = || world_of(expected["mjcf"].as_str().unwrap());
+        let mut speeds = numbers(&expected["velocities"]);
+        speeds.resize(world().robot().velocity_names().len(), 0.0);
+        let at = world().robot().rest().to_vec();
+        assert_continues_bit_for_bit([world(), world()], &at, &speeds, &[0.2]);
+    }
+}

@@ -1,6 +1,6 @@
 //! Tests of models that cannot be built: the error names the element and its line.
 
-use super::{LOPSIDED, document, robot};
+use super::{LOPSIDED, document, robot, robot_of_files};
 
 fn bodies(body: &str) -> String {
     document(&format!("<body name=\"b\">{body}</body>"), "")
@@ -104,6 +104,44 @@ fn a_model_that_is_nested_too_deeply_is_refused_before_the_stack_overflows() {
 }
 
 #[test]
+fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
+    // Each of three levels includes the next a hundred times; each of eight entities is ten times the one before.
+    let read = |path: &str| match path.strip_prefix("level") {
+        Some(level) => {
+            let level: u32 = level.parse().unwrap();
+            let count = if level < 3 { 100 } else { 0 };
+            let include = format!("<include file=\"level{}\"/>", level + 1).repeat(count);
+            Ok(format!("<mujoco>{include}</mujoco>").into_bytes())
+        }
+        None => Ok(format!("<mujoco>\n<include file=\"{path}\"/></mujoco>").into_bytes()),
+    };
+    let entities: String = (1..9)
+        .map(|level| format!("<!ENTITY e{level} \"{}\">", format!("&e{};", level - 1).repeat(10)))
+        .collect();
+    let bomb = format!("<!DOCTYPE m [<!ENTITY e0 \"x\">{entities}]><mujoco model=\"&e8;\"/>");
+    let include = |file: &str| section(&format!("\n<include file=\"{file}\"/>"));
+    for (mjcf, expected) in [
+        (bomb, "valid XML without a DTD"),
+        (
+            include("self.xml"),
+            "self.xml line 2, <include file=\"self.xml\">: files are included more than 8 deep",
+        ),
+        (include("level0"), "the model names more than 1000 files"),
+        (include("../robot.xml"), "`../robot.xml` leaves the model's folder"),
+        (include("/etc/robot.xml"), "`/etc/robot.xml` is an absolute path"),
+        (
+            section(
+                "\n<asset><mesh name=\"m\" file=\"../m.stl\"/></asset><worldbody><geom type=\"box\" mesh=\"m\"/></worldbody>",
+            ),
+            "<mesh name=\"m\">: `../m.stl` leaves the model's folder",
+        ),
+    ] {
+        let reason = robot_of_files(&mjcf, &read).err().unwrap();
+        assert!(reason.contains(expected) && !reason.contains('\n'), "{reason}");
+    }
+}
+
+#[test]
 fn refused_actuators_and_sections_are_named_with_their_lines() {
     assert_refused(&[
         (
@@ -159,7 +197,14 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
             "two defaults have the class `a`",
         ),
         (section("\n<deformable/>"), "line 6, <deformable>: this element"),
-        (section("\n<option viscosity=\"0.1\"/>"), "line 6, <option>: viscosity=\"0.1\""),
+        (
+            section("\n<option viscosity=\"-0.1\"/>"),
+            "line 6, <option>: `viscosity` must lie in 0..=",
+        ),
+        (
+            section("\n<option density=\"nan\"/>"),
+            "line 6, <option>: density=\"nan\" must be finite",
+        ),
         (
             section("\n<asset><mesh file=\"/a.stl\"/></asset><include file=\"../b.xml\"/>"),
             "line 6, <include file=\"../b.xml\">: `../b.xml` leaves",
@@ -181,13 +226,11 @@ fn refused_height_fields_and_pairs_are_named_with_what_to_do() {
         document(shapes, "").replace("</mujoco>", &pair)
     };
     assert_refused(&[
-        (
-            field("nrow=\"2\" ncol=\"2\" file=\"a.png\""),
-            "a file with heights is not supported; state",
-        ),
+        (field("file=\"a.png\""), "<hfield name=\"h\">: a.png does not exist"),
+        (field("file=\"../a.png\""), "<hfield name=\"h\">: `../a.png` leaves the model's folder"),
         (field("nrow=\"1\" ncol=\"2\""), "`nrow` must lie in 2..=1048576, is 1"),
         (field("nrow=\"99999\" ncol=\"99999\" size=\"1 1 1 1\""), "at most 1048576 heights"),
-        (field("nrow=\"2\" ncol=\"2\" size=\"1 1 0 1\""), "positive sizes"),
+        (field("nrow=\"2\" ncol=\"2\" size=\"1 1 0 1\""), "`size` must be positive"),
         (
             field("nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\" elevation=\"1 2 3\""),
             "`elevation` must have 4 numbers, has 3",
