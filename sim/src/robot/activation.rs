@@ -57,7 +57,7 @@ mod tests {
     #[test]
     fn activations_follow_their_controls_as_in_mujoco() {
         for (kind, range, expected) in [
-            (ActivationKind::Filter, None, 0.268_133_91),
+            (ActivationKind::Filter, None, 0.268_133_9),
             (ActivationKind::ExactFilter, None, 0.263_743_97),
             (ActivationKind::Integrator, None, 0.016),
             (ActivationKind::Integrator, Some([-0.01, 0.01]), 0.01),

@@ -15,33 +15,7 @@ impl Layout {
         robot: &mut Multibody,
         bodies: &RigidBodySet,
     ) {
-        let inverse_inertias = robot.dof_inverse_inertia(bodies);
-        for hinge in &mut self.hinges {
-            hinge.inverse_inertia = inverse_inertias[hinge.dof];
-        }
-        for ball in &self.balls {
-            let rotations = &mut self.hinges[ball.first..ball.first + 3];
-            let mean = inverse_inertias.rows(rotations[0].dof, 3).mean();
-            rotations.iter_mut().for_each(|rotation| rotation.inverse_inertia = mean);
-        }
-        for hinge in &mut self.hinges {
-            if let Some([time_constant, ratio]) = hinge.plan.spring_damper {
-                let rate = 1.0 / (time_constant * ratio);
-                hinge.plan.stiffness = rate * rate / hinge.inverse_inertia;
-                hinge.plan.damping = 2.0 / (time_constant * hinge.inverse_inertia);
-            }
-        }
-        for (index, (plan, joint)) in blueprint.links.iter().zip(&self.joints).enumerate() {
-            if let JointPlan::Free(free) | JointPlan::Floating(free) = &plan.joint
-                && free.friction > 0.0
-            {
-                let mean = |first: usize| inverse_inertias.rows(joint.dof + first, 3).mean();
-                let inverses = [0, 3].map(|first| f64::from(mean(first)));
-                let (link, dof) = (index, joint.dof);
-                let plan = free.clone();
-                self.free_frictions.push(FreeFriction { plan, link, dof, inverses });
-            }
-        }
+        self.set_joint_inverses(blueprint, robot, bodies);
         for tendon in &blueprint.tendons {
             let mut force = 0.0 * robot.generalized_velocity().clone_owned();
             for (hinge, factor) in tendon.moved.0.iter() {
@@ -81,6 +55,42 @@ impl Layout {
             for shape in &plan.shapes {
                 let arm = turn * (shape.mass_centre - plan.mass.local_com);
                 self.shape_inverses.push(shape_inverse(robot, joint.link, arm));
+            }
+        }
+    }
+
+    /// Computes those of the joints, and what follows from them of their springs and dry friction.
+    fn set_joint_inverses(
+        &mut self,
+        blueprint: &Blueprint,
+        robot: &mut Multibody,
+        bodies: &RigidBodySet,
+    ) {
+        let inverse_inertias = robot.dof_inverse_inertia(bodies);
+        for hinge in &mut self.hinges {
+            hinge.inverse_inertia = inverse_inertias[hinge.dof];
+        }
+        for ball in &self.balls {
+            let rotations = &mut self.hinges[ball.first..ball.first + 3];
+            let mean = inverse_inertias.rows(rotations[0].dof, 3).mean();
+            rotations.iter_mut().for_each(|rotation| rotation.inverse_inertia = mean);
+        }
+        for hinge in &mut self.hinges {
+            if let Some([time_constant, ratio]) = hinge.plan.spring_damper {
+                let rate = 1.0 / (time_constant * ratio);
+                hinge.plan.stiffness = rate * rate / hinge.inverse_inertia;
+                hinge.plan.damping = 2.0 / (time_constant * hinge.inverse_inertia);
+            }
+        }
+        for (index, (plan, joint)) in blueprint.links.iter().zip(&self.joints).enumerate() {
+            if let JointPlan::Free(free) | JointPlan::Floating(free) = &plan.joint
+                && free.friction > 0.0
+            {
+                let mean = |first: usize| inverse_inertias.rows(joint.dof + first, 3).mean();
+                let inverses = [0, 3].map(|first| f64::from(mean(first)));
+                let (link, dof) = (index, joint.dof);
+                let plan = free.clone();
+                self.free_frictions.push(FreeFriction { plan, link, dof, inverses });
             }
         }
     }
