@@ -34,6 +34,8 @@ pub(crate) struct GlobalState {
     pub(crate) observed: usize,
     /// Indices of the features that agents in `k_nearest` observe besides their neighbourhood.
     pub(crate) shared: Vec<usize>,
+    /// Indices of the features that relate bodies, each with the tree whose agents observe it in `k_nearest`, or none.
+    pub(crate) related: Vec<(usize, Option<usize>)>,
 }
 
 #[derive(Clone, Debug)]
@@ -129,7 +131,8 @@ impl Observation {
 }
 
 /// Indices in the global state of an agent's local observation: angles, speeds and contacts of its own joints, then the
-/// angles of other joints by increasing distance, then the root, then what all agents share.
+/// angles of other joints by increasing distance, then the root, other bodies as its own robot sees them, and what all agents
+/// share. Features of another robot's root, one whose tree has motors, are not local.
 pub(crate) fn near(
     config: &ObservationConfig,
     robot: &Robot,
@@ -154,12 +157,19 @@ pub(crate) fn near(
     for joint in levels[1..].iter().flatten() {
         names.extend(robot.numbers_of(joint)[0].iter().map(feature("position")));
     }
+    let (own_trees, driven) = (robot.trees_of(|joint| own.contains(&joint)), robot.driven_trees());
+    let is_near = |tree: &usize| own_trees.contains(tree) || !driven.contains(tree);
     if config.globals == RootView::Shown {
-        names.extend(neighbourhood.globals.iter().cloned());
+        let globals = neighbourhood.globals.iter();
+        let is_near = |name: &&String| robot.tree_of_feature(name).as_ref().is_none_or(is_near);
+        names.extend(globals.filter(is_near).cloned());
     }
     let place = |name: &String| state.features.iter().position(|feature| feature.name == *name);
     let places = names.iter().map(|name| place(name).expect("neighbourhoods name features"));
-    places.chain(state.shared.iter().copied()).collect()
+    let related = state.related.iter();
+    let related = related.filter(|(_, observer)| observer.as_ref().is_none_or(is_near));
+    let related = related.map(|(place, _)| *place);
+    places.chain(related).chain(state.shared.iter().copied()).collect()
 }
 
 /// Pads all lists to the length of the longest.

@@ -2,10 +2,12 @@
 //! task file, which is part of the program or of the settings.
 
 mod actions;
+mod body_terms;
 mod command;
 mod definition;
 mod disturbance;
 mod names;
+mod relations;
 mod rules;
 mod start;
 mod terms;
@@ -24,7 +26,7 @@ pub(crate) use terms::Transition;
 use crate::config::{TaskConfig, TaskDefinition};
 use crate::error::SimError;
 use crate::game;
-use crate::robot::{MotorPlan, Robot};
+use crate::robot::{MotorPlan, Place, PlaceMotion, Robot};
 
 /// A task, without its settings.
 pub(crate) struct Task {
@@ -55,10 +57,15 @@ impl Motion<'_> {
     pub(crate) fn position(&self, index: usize) -> f32 {
         self.coordinates[index] + self.reference[index]
     }
+
+    /// Motion of a body or point.
+    pub(crate) fn of(&self, place: &Place) -> PlaceMotion {
+        place.motion(self.coordinates, self.velocities)
+    }
 }
 
 /// Task files and models that are part of the program.
-const SHIPPED: [[&str; 2]; 8] = [
+const SHIPPED: [[&str; 2]; 10] = [
     [include_str!("../assets/halfcheetah.toml"), include_str!("../assets/halfcheetah.xml")],
     [include_str!("../assets/walker2d.toml"), include_str!("../assets/walker2d.xml")],
     [include_str!("../assets/ant.toml"), include_str!("../assets/ant.xml")],
@@ -67,6 +74,8 @@ const SHIPPED: [[&str; 2]; 8] = [
     [include_str!("../assets/ant-pushed.toml"), include_str!("../assets/ant.xml")],
     [include_str!("../assets/humanoid.toml"), include_str!("../assets/humanoid.xml")],
     [include_str!("../assets/quadruped.toml"), include_str!("../assets/quadruped.xml")],
+    [include_str!("../assets/carry-light.toml"), include_str!("../assets/carry-light.xml")],
+    [include_str!("../assets/carry-heavy.toml"), include_str!("../assets/carry-heavy.xml")],
 ];
 
 static FILES: LazyLock<Vec<(TaskFile, &str)>> = LazyLock::new(|| {

@@ -37,6 +37,7 @@ pub(crate) const TASKS: &[Preset] = presets!(
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",
     "halfcheetah-pushed-2x3", "walker2d-pushed-2x3", "ant-pushed-4x2",
     "humanoid-9x8", "humanoid-limbs", "humanoid-17x1", "quadruped-4x3",
+    "carry-light-2x2", "carry-heavy-2x2",
 );
 
 /// Settings per algorithm.

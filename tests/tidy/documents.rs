@@ -143,6 +143,7 @@ fn the_example_of_a_task_stands_word_for_word_in_the_simulator() {
         "sim/assets/hopper.xml",
         "sim/assets/hopper.toml",
         "sim/assets/walker2d-pushed.toml",
+        "sim/assets/carry-light.toml",
         "docs/robots/b2-world.xml",
         "docs/robots/spot.toml",
     ];

@@ -62,7 +62,8 @@ fn global_state(task: &Task, config: &ObservationConfig) -> GlobalState {
     let shows_disturbances = rules.audience() == Audience::Agents;
     let observed = if shows_disturbances { features.len() } else { disturbances };
     shared.extend(disturbances..observed);
-    GlobalState { features, observed, shared }
+    let related = rules.related(&task.robot);
+    GlobalState { features, observed, shared, related }
 }
 
 /// A motor that a component of the joint action drives.

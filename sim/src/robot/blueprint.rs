@@ -41,6 +41,8 @@ pub(crate) struct Blueprint {
     pub(crate) keyframes: Vec<Keyframe>,
     /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
     pub(crate) bodies: Vec<String>,
+    /// The link of each body, none for the world, and the body's frame in it.
+    pub(crate) homes: Vec<(Option<usize>, Pose)>,
     /// What MuJoCo simulates and this simulator leaves out, one sentence each.
     pub(crate) left_out: Vec<String>,
 }

@@ -139,7 +139,8 @@ pub(super) fn normalized(q: [f64; 4]) -> Option<[f64; 4]> {
     (length > 1e-12).then(|| q.map(|x| x * scale))
 }
 
-fn about(axis: [f64; 3], angle: f64) -> [f64; 4] {
+/// The rotation about a unit vector.
+pub(super) fn about(axis: [f64; 3], angle: f64) -> [f64; 4] {
     let (sin, cos) = libm::sincos(angle / 2.0);
     [axis[0] * sin, axis[1] * sin, axis[2] * sin, cos]
 }

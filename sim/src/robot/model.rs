@@ -57,6 +57,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         contacts,
         law: Law::Constraints,
         links: links.plans,
+        homes: links.homes,
         motors,
         tendons,
         equalities,

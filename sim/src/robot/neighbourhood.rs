@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 
 use serde::Deserialize;
 
+use super::{LinkPlan, Robot};
+
 /// Joint graph of a robot.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -53,6 +55,46 @@ impl Neighbourhood {
             }
         }
         bodies
+    }
+}
+
+impl Robot {
+    /// The tree of a body, by its first link; `None` for a fixed body.
+    pub(crate) fn tree_of_body(&self, body: usize) -> Option<usize> {
+        let (link, _) = self.blueprint.homes[body];
+        link.map(|link| self.blueprint.tree_of(link))
+    }
+
+    /// The tree of a measured feature of the state, if it is a coordinate or velocity of a joint.
+    pub(crate) fn tree_of_feature(&self, feature: &str) -> Option<usize> {
+        let (name, kind) = feature.rsplit_once('.')?;
+        let index = |names: &[String]| names.iter().position(|own| own == name);
+        let mut joints = self.layout.joints.iter();
+        let link = match kind {
+            "position" => {
+                let index = index(&self.layout.coordinate_names)?;
+                joints.rposition(|joint| joint.coordinate <= index)
+            }
+            _ => {
+                let index = index(&self.layout.velocity_names)?;
+                joints.rposition(|joint| joint.velocity <= index)
+            }
+        };
+        link.map(|link| self.blueprint.tree_of(link))
+    }
+
+    /// The trees of hinges, slides and ball joints that `is` accepts by their names.
+    pub(crate) fn trees_of(&self, is: impl Fn(&str) -> bool) -> BTreeSet<usize> {
+        let links = self.blueprint.links.iter().enumerate();
+        let joint = |plan: &LinkPlan| plan.hinge().or(plan.ball()).is_some_and(|own| is(&own.name));
+        let of = links.filter(|(_, plan)| joint(plan));
+        of.map(|(link, _)| self.blueprint.tree_of(link)).collect()
+    }
+
+    /// The trees that have motors.
+    pub(crate) fn driven_trees(&self) -> BTreeSet<usize> {
+        let driven: BTreeSet<&str> = self.actuators().flat_map(|motor| motor.moved).collect();
+        self.trees_of(|joint| driven.contains(joint))
     }
 }
 

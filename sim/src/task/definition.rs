@@ -7,8 +7,10 @@ use rand::RngCore;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
+use super::body_terms::Goal;
 use super::command::{CommandRow, Heading};
 use super::disturbance::DisturbanceRow;
+use super::relations::{RelationRow, WorldAxis};
 use crate::error::{SimError, short};
 use crate::noise;
 use crate::robot::{Neighbourhood, Orientation, Physics, RobotRow};
@@ -76,8 +78,16 @@ pub(crate) struct TermRow {
     pub(crate) target: Option<BTreeMap<String, f32>>,
     /// Components of the command that `velocity_tracking` reads.
     pub(crate) components: Option<Vec<Heading>>,
-    /// Error of `velocity_tracking` at which it is `1 / e`, m/s or rad/s.
+    /// Error of `velocity_tracking`, m/s or rad/s, or distance, m, at which the term is `1 / e`.
     pub(crate) sigma: Option<f32>,
+    /// Body that a term measures.
+    pub(crate) of: Option<String>,
+    /// Body or point that `distance` and `approach` measure to.
+    pub(crate) to: Option<Goal>,
+    /// Bodies of `spread`.
+    pub(crate) bodies: Option<Vec<String>>,
+    /// Axes of the world that count; one for `progress`.
+    pub(crate) along: Option<Vec<WorldAxis>>,
 }
 
 /// Names of the terms.
@@ -102,6 +112,16 @@ pub(crate) enum TermName {
     VelocityTracking,
     /// [`super::terms::mass_centre_speed`]
     MassCentreSpeed,
+    /// [`super::body_terms::distance`]
+    Distance,
+    /// [`super::body_terms::approach`]
+    Approach,
+    /// [`super::body_terms::progress`]
+    Progress,
+    /// [`super::body_terms::height`]
+    Height,
+    /// [`super::body_terms::spread`]
+    Spread,
 }
 
 /// Range of a coordinate, in the model's own frame, m or rad, or of a feature.
@@ -132,6 +152,9 @@ pub(crate) struct StartRow {
     pub(crate) coordinates: BTreeMap<String, f32>,
     /// Noise on each coordinate, m or rad. A quaternion is normalised after it.
     pub(crate) positions: Option<Noise>,
+    /// Noise on single coordinates instead of `positions`.
+    #[serde(default)]
+    pub(crate) noise: BTreeMap<String, Noise>,
     /// Noise on each velocity, m/s or rad/s.
     pub(crate) velocities: Option<Noise>,
 }
@@ -191,7 +214,7 @@ impl fmt::Display for Noise {
     }
 }
 
-/// Features of the global state: coordinates, then velocities, the command, contact forces, which are 0, and disturbances.
+/// Features of the global state: coordinates, positions of bodies, velocities, those of bodies, the command, contact forces, which are 0, and disturbances.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct StateRow {
@@ -207,6 +230,8 @@ pub(crate) struct StateRow {
     pub(crate) disturbances: Audience,
     /// Whether the state may have features of contact forces, which `observation.contact_forces` selects.
     pub(crate) contact_forces: bool,
+    /// Features that relate bodies to each other.
+    pub(crate) bodies: Vec<RelationRow>,
 }
 
 impl StateRow {

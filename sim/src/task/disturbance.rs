@@ -14,6 +14,7 @@ use rapier3d::math::Vector;
 
 use super::definition::{check_repeats, refused};
 use super::names::Names;
+use super::relations::WorldAxis;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
 use crate::robot::{GroundForm, GroundPlan, JointPlan, LinkPlan, Robot};
@@ -22,7 +23,7 @@ use crate::world::EpisodeConditions;
 use push::Push;
 pub(crate) use row::DisturbanceRow;
 pub(super) use row::ascending;
-use row::{PayloadRow, SensorRow, WorldAxis};
+use row::{PayloadRow, SensorRow};
 
 /// Largest number of pushes, of payloads, and of rows of the terrain.
 const MOST_ROWS: usize = 100;
@@ -40,7 +41,7 @@ pub(crate) struct DisturbanceRanges {
     gravity: (Vector, Vec<WorldAxis>),
     motors: Vec<String>,
     hinges: Vec<String>,
-    /// Names of the measured coordinates, then of the velocities; the second number is that of the coordinates.
+    /// Names of the measured positions, then of the velocities; the second number is that of the positions.
     measured: (Vec<String>, usize),
 }
 
@@ -61,7 +62,7 @@ pub(crate) struct DrawnEpisode {
 }
 
 impl DisturbanceRanges {
-    /// Resolves a row. `features` are the measured ones: coordinates, then velocities.
+    /// Resolves a row. `features` are the measured ones: positions, then velocities.
     pub(super) fn new(
         row: &DisturbanceRow,
         robot: &Robot,
@@ -71,8 +72,8 @@ impl DisturbanceRanges {
         let loaded = links("payload", row.payload.iter().map(|payload| &payload.link), robot)?;
         let pushed = links("push", row.push.iter().map(|push| &push.link), robot)?;
         let pushes = row.push.iter().zip(pushed);
-        let names = features.iter().map(|feature| feature.name.clone()).collect();
-        let coordinates = features.len() - robot.velocity_names().len();
+        let names: Vec<String> = features.iter().map(|feature| feature.name.clone()).collect();
+        let coordinates = names.iter().filter(|name| name.ends_with(".position")).count();
         Ok(Self {
             row: row.clone(),
             pushes: pushes

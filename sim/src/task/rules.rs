@@ -9,6 +9,7 @@ use super::command::CommandRanges;
 use super::definition::{Audience, HealthyRow, LARGEST_NUMBER, TaskFile, refused, within};
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
+use super::relations::{RelationFeature, Relations};
 use super::start::Start;
 use super::terms::{self, RootTilt, Transition, WeightedSum};
 use crate::error::SimError;
@@ -36,6 +37,9 @@ pub(crate) struct Rules {
     healthy: Vec<(Watched, HealthyRow)>,
     /// Coordinates in the global state.
     shown: Vec<usize>,
+    relations: Relations,
+    /// Numbers of measured positions and velocities.
+    measured: [usize; 2],
     largest_velocity: Option<f32>,
     /// First components of velocities of free joints that are expressed in the axes of their bodies, and the rotations.
     velocities_in_body: Vec<(usize, Orientation)>,
@@ -54,9 +58,11 @@ impl Rules {
         let names = Names::coordinates(robot);
         let command = CommandRanges::new(&file.command, robot)?;
         let shown = shown(&file.state.hidden, names, robot)?;
-        let measured = measured_features(&shown, robot);
+        let relations = Relations::new(&file.state.bodies, robot)?;
+        let measured = measured_features(&shown, &relations, robot);
         let disturbance = DisturbanceRanges::new(&file.disturbance, robot, &measured)?;
         let features: Vec<String> = measured.into_iter().map(|feature| feature.name).collect();
+        let positions = features.iter().filter(|name| name.ends_with(".position")).count();
         let healthy = file.healthy.iter().map(|row| checked_healthy(row, robot, &features));
         let rules = Self {
             start: Start::new(&file.start, names, robot)?,
@@ -64,6 +70,8 @@ impl Rules {
             cost: WeightedSum::new("cost", &file.cost, robot, &command)?,
             healthy: healthy.collect::<Result<_, _>>()?,
             shown,
+            relations,
+            measured: [positions, features.len() - positions],
             largest_velocity: file.state.largest_velocity,
             velocities_in_body: file.state.velocities_in_body(&robot.layout().orientations)?,
             contact_forces: file.state.contact_forces,
@@ -168,7 +176,16 @@ impl Rules {
 
     /// Measured features of the global state: positions, then velocities, `[M]`.
     pub(crate) fn measured_features(&self, robot: &Robot) -> Vec<FeatureSpec> {
-        measured_features(&self.shown, robot)
+        measured_features(&self.shown, &self.relations, robot)
+    }
+
+    /// Indices in the global state of the features that relate bodies, each with the tree whose agents observe it if
+    /// observations are local, or none.
+    pub(crate) fn related(&self, robot: &Robot) -> Vec<(usize, Option<usize>)> {
+        let [positions, velocities] = self.relations.features();
+        let moving = self.measured[0] + robot.velocity_names().len();
+        let places = (self.shown.len()..).zip(positions).chain((moving..).zip(velocities));
+        places.map(|(place, feature)| (place, feature.observer)).collect()
     }
 
     /// Features of the command, which follow the measured ones, `[C]`.
@@ -186,16 +203,18 @@ impl Rules {
     /// Writes the global state: the measured features and the command to the start of `out`, the disturbances to its end.
     /// Features of contact forces, between them, stay as they are.
     pub(crate) fn state(&self, motion: &Motion<'_>, drawn: &DrawnEpisode, out: &mut [f32]) {
-        let command = self.shown.len() + motion.velocities.len();
+        let command = self.measured.iter().sum::<usize>();
         out[command..][..drawn.command.len()].copy_from_slice(&drawn.command);
         let disturbances = out.len() - self.described;
         self.disturbance.write(drawn, &mut out[disturbances..]);
-        let (positions, rest) = out.split_at_mut(self.shown.len());
+        let (positions, rest) = out.split_at_mut(self.measured[0]);
         for (to, &index) in positions.iter_mut().zip(&self.shown) {
             *to = motion.position(index);
         }
-        let velocities = &mut rest[..motion.velocities.len()];
-        velocities.copy_from_slice(motion.velocities);
+        let (joints, velocities) = (motion.velocities.len(), &mut rest[..self.measured[1]]);
+        velocities[..joints].copy_from_slice(motion.velocities);
+        let related = &mut positions[self.shown.len()..];
+        self.relations.write(motion, related, &mut velocities[joints..]);
         for (first, orientation) in &self.velocities_in_body {
             let velocity = &mut velocities[*first..][..3];
             let rotation = orientation.rotation(motion.coordinates);
@@ -217,12 +236,18 @@ impl HealthyRow {
     }
 }
 
-fn measured_features(shown: &[usize], robot: &Robot) -> Vec<FeatureSpec> {
-    let signal = |name| FeatureSpec { name, role: FeatureRole::Signal };
-    let positions = shown.iter().map(|&index| &robot.coordinate_names()[index]);
-    let positions = positions.map(|name| signal(format!("{name}.position")));
-    let velocities = robot.velocity_names().iter();
-    positions.chain(velocities.map(|name| signal(format!("{name}.velocity")))).collect()
+/// Positions of joints and bodies, then velocities of joints and bodies.
+fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> Vec<FeatureSpec> {
+    let [positions, velocities] = relations.features();
+    let joint = |name: &String, kind: &str| format!("{name}.{kind}");
+    let shown = shown.iter().map(|&index| joint(&robot.coordinate_names()[index], "position"));
+    let moving = robot.velocity_names().iter().map(|name| joint(name, "velocity"));
+    let name = |feature: RelationFeature| feature.name;
+    let names = shown
+        .chain(positions.into_iter().map(name))
+        .chain(moving)
+        .chain(velocities.into_iter().map(name));
+    names.map(|name| FeatureSpec { name, role: FeatureRole::Signal }).collect()
 }
 
 /// Refuses a condition without bounds, or one that no value meets.

@@ -28,7 +28,8 @@ pub(super) struct Start {
     activations: Vec<f32>,
     /// First coordinate of each unit quaternion.
     orientations: Vec<usize>,
-    positions: Option<Noise>,
+    /// Noise of each coordinate, `[nq]`.
+    positions: Vec<Option<Noise>>,
     velocities: Option<Noise>,
 }
 
@@ -40,7 +41,15 @@ impl Start {
             Some(name) => start_of_keyframe(name, robot)?,
             None => Self::default(),
         };
-        (start.positions, start.velocities) = (row.positions, row.velocities);
+        start.positions = vec![row.positions; bounds.coordinates.len()];
+        let reach = farthest("start.positions", row.positions, bounds.fastest)?;
+        let mut reaches = vec![reach; bounds.coordinates.len()];
+        for (name, noise) in &row.noise {
+            let index = names.index("start.noise", name)?;
+            start.positions[index] = Some(*noise);
+            reaches[index] = farthest("start.noise", Some(*noise), bounds.fastest)?;
+        }
+        start.velocities = row.velocities;
         for (name, value) in &row.coordinates {
             let index = names.index("start.coordinates", name)?;
             start.coordinates.push((index, value - robot.reference()[index]));
@@ -55,13 +64,13 @@ impl Start {
             within("start.keyframe (an activation)", *activation, *low, *high)?;
         }
         farthest("start.velocities", start.velocities, bounds.fastest)?;
-        let reach = farthest("start.positions", start.positions, bounds.fastest)?;
         let mut pose = robot.rest().to_vec();
         start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
         for first in &bounds.orientations {
-            let place = "start.positions (largest noise of a quaternion)";
+            let place = "start.positions and start.noise (largest noise of a quaternion)";
             let turn = *first..first + 4;
             let turned = start.coordinates.iter().any(|(index, _)| turn.contains(index));
+            let reach = reaches[turn.clone()].iter().copied().fold(0.0, f32::max);
             within(place, reach, 0.0, if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST })?;
             let length = pose[turn].iter().map(|q| q * q).sum::<f32>().sqrt();
             within("start.coordinates (length of a quaternion)", length, 0.99, 1.01)?;
@@ -70,6 +79,7 @@ impl Start {
             bounds.orientations.iter().any(|first| (*first..first + 4).contains(&index))
         };
         for (index, (value, [low, high])) in pose.iter().zip(&bounds.coordinates).enumerate() {
+            let reach = reaches[index];
             let is_within = value - reach >= *low && value + reach <= *high;
             if !turns(index) && !is_within {
                 let name = &robot.coordinate_names()[index];
@@ -107,10 +117,12 @@ impl Start {
         velocities: &mut [f32],
     ) {
         self.apply(coordinates, velocities);
-        if let Some(distribution) = self.positions {
-            coordinates.iter_mut().for_each(|number| *number += distribution.draw(rng));
+        for (number, distribution) in coordinates.iter_mut().zip(&self.positions) {
+            if let Some(distribution) = distribution {
+                *number += distribution.draw(rng);
+            }
         }
-        if self.positions.is_some() || !self.coordinates.is_empty() {
+        if self.positions.iter().any(Option::is_some) || !self.coordinates.is_empty() {
             for first in &self.orientations {
                 let quaternion = &mut coordinates[*first..first + 4];
                 let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Motion;
+use super::body_terms::BodyTerm;
 use super::command::{CommandRanges, Heading};
 use super::definition::{LARGEST_NUMBER, TermName, TermRow, check_repeats, refused, within};
 use super::disturbance::ascending;
@@ -41,6 +42,7 @@ enum Term {
     ActionRate,
     VelocityTracking { command: CommandRanges, components: Vec<(usize, Heading)>, sigma: f32 },
     MassCentreSpeed,
+    Body(BodyTerm),
 }
 
 /// Coordinates that determine the tilt of the root.
@@ -138,6 +140,7 @@ impl Term {
                 velocity_tracking(step, command, components, *sigma)
             }
             Self::MassCentreSpeed => mass_centre_speed(step),
+            Self::Body(term) => term.value(step),
         }
     }
 }
@@ -191,6 +194,11 @@ impl TermName {
             Self::ActionRate => "action_rate",
             Self::VelocityTracking => "velocity_tracking",
             Self::MassCentreSpeed => "mass_centre_speed",
+            Self::Distance => "distance",
+            Self::Approach => "approach",
+            Self::Progress => "progress",
+            Self::Height => "height",
+            Self::Spread => "spread",
         }
     }
 
@@ -201,6 +209,11 @@ impl TermName {
             Self::InRange => &["coordinate", "range"],
             Self::TargetDistance => &["target"],
             Self::VelocityTracking => &["components", "sigma"],
+            Self::Distance => &["of", "to", "along", "sigma"],
+            Self::Approach => &["of", "to", "along"],
+            Self::Progress => &["of", "along"],
+            Self::Height => &["of"],
+            Self::Spread => &["bodies"],
             Self::Alive
             | Self::Control
             | Self::Upright
@@ -224,6 +237,10 @@ fn term(
         ("target", row.target.is_some()),
         ("components", row.components.is_some()),
         ("sigma", row.sigma.is_some()),
+        ("of", row.of.is_some()),
+        ("to", row.to.is_some()),
+        ("bodies", row.bodies.is_some()),
+        ("along", row.along.is_some()),
     ];
     let unknown = given.iter().find(|(key, given)| *given && !row.term.keys().contains(key));
     if let Some((key, _)) = unknown {
@@ -259,6 +276,11 @@ fn term(
             let components = followed(place, row.components.as_deref(), command)?;
             Term::VelocityTracking { command: command.clone(), components, sigma }
         }
+        TermName::Distance
+        | TermName::Approach
+        | TermName::Progress
+        | TermName::Height
+        | TermName::Spread => Term::Body(BodyTerm::new(place, row, robot)?),
     })
 }
 

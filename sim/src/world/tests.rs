@@ -8,6 +8,7 @@ mod hostile;
 mod loaded;
 mod one_document;
 mod other_roots;
+mod places;
 mod references;
 mod refused;
 mod trees;

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod bounds;
+mod carry;
 mod fidelity;
 mod hostile;
 mod humanoid;

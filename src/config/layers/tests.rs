@@ -101,7 +101,7 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
              known: cue-2x1, signal-2x1, halfcheetah-2x3, halfcheetah-3x2, halfcheetah-6x1, \
              walker2d-2x3, walker2d-3x2, walker2d-6x1, ant-2x4, ant-2x4d, ant-4x2, ant-8x1, \
              halfcheetah-pushed-2x3, walker2d-pushed-2x3, ant-pushed-4x2, humanoid-9x8, \
-             humanoid-limbs, humanoid-17x1, quadruped-4x3",
+             humanoid-limbs, humanoid-17x1, quadruped-4x3, carry-light-2x2, carry-heavy-2x2",
         ),
         (
             &["preset=harrl"],

@@ -4,7 +4,8 @@ use rand::RngCore;
 use rapier3d::math::Vector;
 
 use super::super::definition::{check_repeats, refused};
-use super::row::{PushRow, WorldAxis};
+use super::super::relations::WorldAxis;
+use super::row::PushRow;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
 use crate::robot::{JointPlan, Robot};

@@ -4,6 +4,7 @@ use rand::RngCore;
 use serde::Deserialize;
 
 use super::super::definition::{Noise, refused, within};
+use super::super::relations::WorldAxis;
 use crate::error::{SimError, short};
 
 /// Largest delay, steps. A state has an action or a measurement for each.
@@ -52,14 +53,6 @@ pub(super) struct PushRow {
     /// World axes that span the directions, which are uniformly distributed. Default: x for a robot in a vertical plane, x
     /// and y for others.
     pub(super) axes: Option<Vec<WorldAxis>>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum WorldAxis {
-    X,
-    Y,
-    Z,
 }
 
 /// A point mass at the mass centre of a link.

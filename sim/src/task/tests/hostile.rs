@@ -34,6 +34,19 @@ weight = 1.0
 components = ["forward", "yaw"]
 sigma = 0.5
 
+[[reward]]
+term = "distance"
+weight = 0.5
+of = "torso"
+to = [3.0, 0.0, 0.5]
+along = ["y", "z"]
+sigma = 0.5
+
+[[reward]]
+term = "spread"
+weight = 0.5
+bodies = ["torso", "world"]
+
 [[cost]]
 term = "action_rate"
 weight = 0.1
@@ -53,6 +66,7 @@ above = -0.9
 keyframe = "home"
 coordinates = { "root.z" = 0.8, hip_1 = 0.1 }
 positions = { uniform = 0.01 }
+noise = { "root.y" = { uniform = 0.05 } }
 velocities = { normal = 0.1 }
 
 [actions]
@@ -65,6 +79,13 @@ largest_velocity = 10.0
 angular_velocity = "body"
 contact_forces = true
 disturbances = "critic"
+
+[[state.bodies]]
+of = "torso"
+from = "shoulder_1"
+features = ["position", "orientation"]
+along = ["x"]
+axes = "world"
 
 [command]
 forward = [0.0, 1.0]
