@@ -57,13 +57,20 @@ fn differences(name: &str) -> Vec<f32> {
     found.collect()
 }
 
-/// MuJoCo integrates with four stages, the task with one; MuJoCo's own one-stage motions differ as much.
+/// MuJoCo integrates with four stages, the task with one. With one stage, MuJoCo 4.0.0 differs from its own motions
+/// by 0.003, 0.004 and 0.008 in flight, 0.002, 0.003 and 0.006 passive, and 0.002, 0.025 and 0.108 driven.
 #[test]
 fn it_moves_as_in_mujoco() {
-    for (name, most) in [("flight", 0.02), ("passive", 0.02), ("driven", 0.15)] {
+    for (name, most) in [
+        ("flight", [0.01, 0.01, 0.015]),
+        ("passive", [0.004, 0.008, 0.03]),
+        ("driven", [0.005, 0.035, 0.2]),
+    ] {
         let found = differences(name);
         println!("{name}: {found:?}");
-        assert!(found.iter().all(|difference| *difference < most), "{name}: {found:?}");
+        assert_eq!(found.len(), most.len());
+        let is_close = found.iter().zip(&most).all(|(difference, most)| difference < most);
+        assert!(is_close, "{name}: {found:?}");
     }
 }
 

@@ -2,7 +2,7 @@
 
 use sim::{EnvironmentBatch, Outcome, TaskConfig};
 
-use crate::{coordinates, environments};
+use crate::{coordinates, environments, step};
 
 fn with(task: &str, changes: &serde_json::Value) -> Box<dyn EnvironmentBatch> {
     let mut config = serde_json::to_value(crate::config(task, "none")).unwrap();
@@ -136,5 +136,28 @@ fn an_ants_start_has_a_unit_quaternion_and_angular_velocity_in_its_own_axes() {
     let turning = &seen[13 + 3..13 + 6];
     for (got, expected) in turning.iter().zip([0.0, -2.0, 5.0]) {
         assert!((got - expected).abs() < 1e-5, "{turning:?}");
+    }
+}
+
+#[test]
+fn a_quadruped_holds_its_stand_and_observes_its_velocities_in_its_own_axes() {
+    let mut world = with("quadruped-4x3", &serde_json::json!({}));
+    world.reset(0, 0, 500, [5; 32]).unwrap();
+    (0..100).for_each(|_| assert!(!step(&mut *world, &[0.0; 12]).terminated));
+    let height = coordinates(world.world(0).unwrap())[2];
+    assert!((0.29..0.33).contains(&height), "{height} m; in MuJoCo 0.312 m");
+    // A quarter turn about z: the world's x is the trunk's -y.
+    let bounds = world.state_bounds().unwrap().clone();
+    let mut state = sim::State::from_bytes(&world.encode(0).unwrap(), &bounds).unwrap();
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    state.coordinates[3..7].copy_from_slice(&[half, 0.0, 0.0, half]);
+    state.velocities[..6].copy_from_slice(&[1.0, 0.0, 3.0, 2.0, 0.0, 5.0]);
+    world.restore(0, &state.to_bytes(&bounds.kind)).unwrap();
+    let mut seen = vec![0.0; world.description().state.len()];
+    world.state(0, &mut seen);
+    // The positions are z, the quaternion and twelve joints.
+    let velocities = &seen[17..][..6];
+    for (got, expected) in velocities.iter().zip([0.0, -1.0, 3.0, 0.0, -2.0, 5.0]) {
+        assert!((got - expected).abs() < 1e-5, "{velocities:?}");
     }
 }
