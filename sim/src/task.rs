@@ -241,7 +241,9 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
                 named = indices(&|motor| motor.name == *name);
             }
             if named.iter().any(|&motor| !owned.insert(motor)) {
-                return Err(refused(format!("agents: the joint `{name}` is named twice")));
+                return Err(refused(format!(
+                    "agents: `{name}` stands for an actuator that has an agent already; remove one"
+                )));
             }
             of_agent.extend(named);
         }
@@ -252,7 +254,7 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
         Some(motor) => {
             let MotorPlan { joint, name, .. } = &motors[motor];
             let kind = if joint == name { "joint" } else { "actuator" };
-            Err(refused(format!("agents: the {kind} `{name}` belongs to no agent")))
+            Err(refused(format!("agents: the {kind} `{name}` belongs to no agent; add it to one")))
         }
     }
 }

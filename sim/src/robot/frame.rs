@@ -25,6 +25,12 @@ pub(super) struct Angles {
     pub(super) sequence: String,
 }
 
+impl Default for Angles {
+    fn default() -> Self {
+        Self { degrees: true, sequence: "xyz".to_owned() }
+    }
+}
+
 impl Angles {
     /// Radians of an angle in the document's unit.
     pub(super) fn radians(&self, angle: f64) -> f64 {

@@ -313,7 +313,7 @@ fn links<'a>(
         let link = plans.iter().position(|link| link.name == *name);
         let link = link.expect("the link is one of the known ones");
         if found.contains(&link) {
-            return Err(refused(format!("{place}: the link `{name}` is named twice")));
+            return Err(refused(format!("{place}: the link `{name}` is named twice; remove one")));
         }
         found.push(link);
     }

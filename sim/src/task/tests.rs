@@ -322,10 +322,10 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         ("robot = \"hopper\"", "robot = \"../x\"", &["robot must be", "`../x`"]),
         ("\"alive\"", "\"alife\"", &["`alife`", "did you mean `alive`?"]),
         ("[\"knee\"]]", "[\"kne\"]]", &["agents: ", "`kne`; did you mean `knee`?"]),
-        ("[\"knee\"]]", "[\"hip\"]]", &["agents: the joint `hip` is named twice"]),
+        ("[\"knee\"]]", "[\"hip\"]]", &["agents: `hip` stands for an actuator that"]),
         (", [\"knee\"]]", "]", &["agents: the joint `knee` belongs to no agent"]),
         (", [\"knee\"]]", ", []]", &["agents: agent 1 has no joint"]),
-        ("weight = 1e-3", "weight = nan", &["cost.control.weight must lie in -1e9..=1e9, is NaN"]),
+        ("weight = 1e-3", "weight = nan", &["cost.control.weight must lie in -1e9..=1e9"]),
         ("weight = 1e-3", "weight = 1e-3\nrange = [0, 1]", &["cost.control has no key `range`"]),
         (
             "term = \"alive\"",
@@ -335,11 +335,7 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         ("\"rootz\"", "\"rotz\"", &["healthy.coordinate", "`rotz`; did you mean `rootz`?"]),
         ("at_least = -0.5", "at_least = 1.0\nat_most = 0.5", &["healthy.rootz: the lower bound 1"]),
         ("at_least = -0.5", "", &["healthy.rootz needs a bound"]),
-        (
-            "at_least = -0.5",
-            "at_least = inf",
-            &["healthy.rootz.at_least must lie in -1e9..=1e9, is inf"],
-        ),
+        ("at_least = -0.5", "at_least = inf", &["healthy.rootz.at_least must lie in"]),
         (
             "velocities = { uniform",
             "velocities = { even",

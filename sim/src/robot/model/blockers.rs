@@ -2,6 +2,8 @@
 
 use std::cell::RefCell;
 
+use super::super::document::Element;
+
 /// Most reasons in a message.
 const MOST_SHOWN: usize = 20;
 
@@ -33,6 +35,11 @@ impl Blockers {
         result.map_err(|reason| self.note(reason)).ok()
     }
 
+    /// One number of an element; the default in place of an error, which is noted.
+    pub(super) fn number(&self, element: &Element, name: &str, default: f64) -> f64 {
+        self.keep(element.number(name, default)).unwrap_or(default)
+    }
+
     /// Whether nothing was noted. What follows from a missing part is not worth a message.
     pub(super) fn is_empty(&self) -> bool {
         self.0.borrow().is_empty()
@@ -41,19 +48,25 @@ impl Blockers {
     /// All reasons as one error, each in a line if there are several.
     pub(super) fn finish(&self) -> Result<(), String> {
         let reasons = self.0.borrow();
-        let more = reasons.len().saturating_sub(MOST_SHOWN);
-        match reasons.as_slice() {
-            [] => Ok(()),
-            [reason] => Err(reason.clone()),
-            all => {
-                let mut text = format!("{} things are not supported", all.len());
-                all.iter().take(MOST_SHOWN).for_each(|reason| text += &format!("\n  {reason}"));
-                if more > 0 {
-                    text += &format!("\n  and {more} more");
-                }
-                Err(text)
-            }
-        }
+        if reasons.is_empty() { Ok(()) } else { Err(listed(&reasons)) }
+    }
+
+    /// All reasons and this one as an error.
+    pub(super) fn finish_with(&self, reason: String) -> String {
+        self.note(reason);
+        listed(&self.0.borrow())
+    }
+}
+
+fn listed(reasons: &[String]) -> String {
+    if let [reason] = reasons {
+        return reason.clone();
+    }
+    let mut text = format!("{} things are not supported", reasons.len());
+    reasons.iter().take(MOST_SHOWN).for_each(|reason| text += &format!("\n  {reason}"));
+    match reasons.len().saturating_sub(MOST_SHOWN) {
+        0 => text,
+        more => text + &format!("\n  and {more} more"),
     }
 }
 

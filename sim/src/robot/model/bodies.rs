@@ -14,6 +14,11 @@ use super::options::{MassSource, Options};
 /// Elements in a body that have no effect on the motion.
 const SKIPPED: [&str; 3] = ["site", "camera", "light"];
 
+/// Most velocities of a model; the costs of a step grow with their third power.
+const MOST_VELOCITIES: usize = 300;
+/// Most shapes of a model; the costs of its reading grow with their square.
+const MOST_SHAPES: usize = 5000;
+
 /// A body of the model.
 pub(super) struct Body {
     pub(super) name: String,
@@ -43,8 +48,31 @@ pub(super) fn flat(root: &Element, context: &Context) -> Result<Vec<Body>, Strin
         bodies[index].is_static =
             bodies[index].joints.is_empty() && bodies[bodies[index].parent].is_static;
     }
+    check_size(&bodies)?;
     check_bodies(&bodies, context);
     Ok(bodies)
+}
+
+/// Refuses a model that a step would take seconds for.
+fn check_size(bodies: &[Body]) -> Result<(), String> {
+    let joints = bodies.iter().flat_map(|body| &body.joints);
+    let velocities = |joint: &(Element, Frame)| match joint.0.text("type") {
+        _ if joints::is_free(joint) => 6,
+        Some("ball") => 3,
+        _ => 1,
+    };
+    let velocities: usize = joints.map(velocities).sum();
+    let shapes: usize = bodies.iter().map(|body| body.geoms.len()).sum();
+    let counts = [
+        ("degrees of freedom", velocities, MOST_VELOCITIES, "joints"),
+        ("shapes", shapes, MOST_SHAPES, "shapes"),
+    ];
+    match counts.iter().find(|(_, count, most, _)| count > most) {
+        None => Ok(()),
+        Some((what, count, most, parts)) => Err(format!(
+            "the model has {count} {what}, at most {most} are allowed; remove bodies or {parts}"
+        )),
+    }
 }
 
 fn new_body(element: &Element, name: String, parent: usize, frame: Frame) -> Body {

@@ -27,9 +27,11 @@ impl Context {
     /// Reads the settings, and what MuJoCo would do in addition to this simulator.
     pub(super) fn read(root: &Element) -> Result<(Self, Vec<String>), String> {
         let blockers = Blockers::default();
-        let (options, left_out) = Options::read(root, &blockers)?;
-        let classes = Classes::new(root)?;
-        let meshes = Meshes::read(root, &classes, &options)?;
+        // Without these, nothing else can be read; the message has the reasons so far, too.
+        let stop = |reason| blockers.finish_with(reason);
+        let (options, left_out) = Options::read(root, &blockers).map_err(stop)?;
+        let classes = Classes::new(root).map_err(stop)?;
+        let meshes = Meshes::read(root, &classes, &options).map_err(stop)?;
         let paired = contacts::paired(root);
         let fields = fields::read(root);
         let mut names = BTreeSet::new();

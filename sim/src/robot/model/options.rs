@@ -35,15 +35,15 @@ const CHILDREN: [(&str, &[&str]); 4] = [
     ("asset", &["texture", "material", "mesh", "hfield", "skin", "model"]),
     ("contact", &["pair", "exclude"]),
 ];
-/// Sections and their attributes, where those of the section itself are not read elsewhere.
-const PLAIN: [(&str, &[&str]); 7] = [
-    ("asset", &[]),
-    ("worldbody", &["childclass"]),
-    ("actuator", &[]),
-    ("contact", &[]),
-    ("equality", &[]),
-    ("tendon", &[]),
-    ("keyframe", &[]),
+/// Sections, their own attributes, and the most elements in all sections of a name.
+const PLAIN: [(&str, &[&str], usize); 7] = [
+    ("asset", &[], 5000),
+    ("worldbody", &["childclass"], 5000),
+    ("actuator", &[], 1000),
+    ("contact", &[], 5000),
+    ("equality", &[], 1000),
+    ("tendon", &[], 1000),
+    ("keyframe", &[], 1000),
 ];
 const COMPILER: [&str; 22] = [
     "angle",
@@ -165,7 +165,7 @@ pub(super) struct Options {
 impl Options {
     /// Reads the settings, and what MuJoCo would do in addition.
     pub(super) fn read(root: &Element, blockers: &Blockers) -> Result<(Self, Vec<String>), String> {
-        check_sections(root, blockers);
+        check_sections(root, blockers)?;
         let [compiler, option, flags] = merged(root);
         blockers.keep(compiler.only(&[&COMPILER]));
         check_fixed(&compiler, &option, blockers);
@@ -179,42 +179,40 @@ impl Options {
             &CONSTRAINTS,
             &["gravity"],
         ]));
-        for flag in ENABLED {
-            if flags.flag(flag)? == Some(false) {
-                let reason = format!("{flag}=\"disable\" is not supported; remove it");
-                blockers.note(flags.refuse_for(flag, reason));
-            }
+        let on = |flag: &str| blockers.keep(flags.flag(flag)).flatten();
+        let is_set = |name: &str| blockers.keep(compiler.flag(name)).flatten();
+        for flag in ENABLED.into_iter().filter(|flag| on(flag) == Some(false)) {
+            let reason = format!("{flag}=\"disable\" is not supported; remove it");
+            blockers.note(flags.refuse_for(flag, reason));
         }
-        let [constraints, contacts, equalities, friction, limits] = {
-            let mut all = [true; CONSTRAINTS.len()];
-            for (is_on, flag) in all.iter_mut().zip(CONSTRAINTS) {
-                *is_on = flags.flag(flag)?.unwrap_or(true);
-            }
-            all
-        };
-        let mut options = Self {
-            angles: angles(&compiler)?,
-            autolimits: compiler.flag("autolimits")?.unwrap_or(true),
-            mass_source: mass_source(&compiler)?,
-            mass_groups: mass_groups(&compiler)?,
-            least: [compiler.number("boundmass", 0.0)?, compiler.number("boundinertia", 0.0)?],
-            total_mass: Some(compiler.number("settotalmass", -1.0)?).filter(|mass| *mass > 0.0),
+        let [constraints, contacts, equalities, friction, limits] =
+            CONSTRAINTS.map(|flag| on(flag).unwrap_or(true));
+        let gravity = blockers.keep(option.numbers("gravity")).flatten();
+        let options = Self {
+            angles: blockers.keep(angles(&compiler)).unwrap_or_default(),
+            autolimits: is_set("autolimits").unwrap_or(true),
+            mass_source: blockers.keep(mass_source(&compiler)).unwrap_or(MassSource::Stated),
+            mass_groups: blockers.keep(mass_groups(&compiler)).unwrap_or(ALL_GROUPS),
+            least: ["boundmass", "boundinertia"].map(|name| blockers.number(&compiler, name, 0.0)),
+            total_mass: Some(blockers.number(&compiler, "settotalmass", -1.0))
+                .filter(|mass| *mass > 0.0),
             mesh_folder: folder(&compiler),
-            strips_paths: compiler.flag("strippath")?.unwrap_or(false),
-            timestep_secs: option.number("timestep", 0.002)?,
-            gravity: vector(option.numbers("gravity")?.unwrap_or([0.0, 0.0, -9.81])),
-            integration: integration(&option)?,
+            strips_paths: is_set("strippath").unwrap_or(false),
+            timestep_secs: blockers.number(&option, "timestep", 0.002),
+            gravity: match on("gravity") {
+                Some(false) => Vector::ZERO,
+                _ => vector(gravity.unwrap_or([0.0, 0.0, -9.81])),
+            },
+            integration: blockers.keep(integration(&option)).unwrap_or(Integration::Euler),
             has_contacts: constraints && contacts,
             has_equalities: constraints && equalities,
             has_limits: constraints && limits,
             has_friction: constraints && friction,
-            contacts: contact_rules(&option)?,
-            fluid: fluid(&option)?,
+            contacts: contact_rules(&option, blockers),
+            fluid: fluid(&option, blockers),
         };
-        if flags.flag("gravity")? == Some(false) {
-            options.gravity = Vector::ZERO;
-        }
-        Ok((options, differences(&option, &flags)?))
+        let differences = blockers.keep(differences(&option, &flags));
+        Ok((options, differences.unwrap_or_default()))
     }
 }
 
@@ -228,12 +226,20 @@ fn merged(root: &Element) -> [Element; 3] {
     ]
 }
 
-fn check_sections(root: &Element, blockers: &Blockers) {
+fn check_sections(root: &Element, blockers: &Blockers) -> Result<(), String> {
     blockers.keep(root.only(&[&["model"]]));
-    for section in &root.children {
-        if let Some((_, known)) = PLAIN.iter().find(|(tag, _)| *tag == section.tag) {
+    for (tag, known, most) in PLAIN {
+        for section in root.all(tag) {
             blockers.keep(section.only(&[known]));
         }
+        let count = root.all(tag).flat_map(|section| &section.children).count();
+        if count > most {
+            let reason =
+                format!("<{tag}> has {count} elements, at most {most} are allowed; remove some");
+            return Err(reason);
+        }
+    }
+    for section in &root.children {
         if !SECTIONS.contains(&section.tag.as_str()) {
             blockers.note(section.refuse("this element is not supported; remove it"));
         }
@@ -243,6 +249,7 @@ fn check_sections(root: &Element, blockers: &Blockers) {
             blockers.note(child.refuse("this element is not supported; remove it"));
         }
     }
+    Ok(())
 }
 
 fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
@@ -317,30 +324,32 @@ fn integration(option: &Element) -> Result<Integration, String> {
     }
 }
 
-fn contact_rules(option: &Element) -> Result<ContactRules, String> {
-    let cone = match option.text("cone") {
-        None | Some("pyramidal") => Cone::Pyramidal,
-        Some("elliptic") => Cone::Elliptic,
-        Some(_) => return Err(option.refuse_for("cone", "`cone` must be pyramidal or elliptic")),
-    };
-    let impratio = option.number("impratio", 1.0)?;
-    Ok(ContactRules {
-        cone,
-        impratio,
+fn cone(option: &Element) -> Result<Cone, String> {
+    match option.text("cone") {
+        None | Some("pyramidal") => Ok(Cone::Pyramidal),
+        Some("elliptic") => Ok(Cone::Elliptic),
+        Some(_) => Err(option.refuse_for("cone", "`cone` must be pyramidal or elliptic")),
+    }
+}
+
+fn contact_rules(option: &Element, blockers: &Blockers) -> ContactRules {
+    ContactRules {
+        cone: blockers.keep(cone(option)).unwrap_or(Cone::Pyramidal),
+        impratio: blockers.number(option, "impratio", 1.0),
         stated: ContactOverride::default(),
         pairs: Vec::new(),
         excluded: Vec::new(),
         links_touch: false,
-    })
+    }
 }
 
-fn fluid(option: &Element) -> Result<Fluid, String> {
-    Ok(Fluid {
-        density: option.number("density", 0.0)?,
-        viscosity: option.number("viscosity", 0.0)?,
-        wind: option.numbers("wind")?.unwrap_or_default(),
+fn fluid(option: &Element, blockers: &Blockers) -> Fluid {
+    Fluid {
+        density: blockers.number(option, "density", 0.0),
+        viscosity: blockers.number(option, "viscosity", 0.0),
+        wind: blockers.keep(option.numbers("wind")).flatten().unwrap_or_default(),
         boxes: Vec::new(),
-    })
+    }
 }
 
 fn differences(option: &Element, flags: &Element) -> Result<Vec<String>, String> {

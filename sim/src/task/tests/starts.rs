@@ -194,7 +194,7 @@ fn a_joint_stands_for_all_its_actuators_and_an_actuator_for_one_of_them() {
     // Both act on the joint: 80 x 0.5 - 8 x 0.25.
     assert_eq!(world.world(0).unwrap().torque("knee"), Some(38.0));
     let apart = built("[[\"hip\", \"knee.motor\"], [\"knee\"]]").err().unwrap();
-    assert!(apart.contains("the joint `knee` is named twice"), "{apart}");
+    assert!(apart.contains("`knee` stands for an actuator that has an agent already"), "{apart}");
 }
 
 #[test]

@@ -196,6 +196,40 @@ fn actuators_without_a_name_have_names_of_their_own() {
     assert_eq!(names, ["j", "j.motor"]);
 }
 
+#[test]
+fn a_model_that_a_step_would_take_seconds_for_is_refused_before_it_is_built() {
+    let arm = "<body><joint/><geom size=\"0.1\"/></body>";
+    let geoms = format!("<body><joint name=\"j\"/>{}</body>", "<geom size=\"0.1\"/>".repeat(5001));
+    let motors = "<motor joint=\"j\" ctrlrange=\"-1 1\"/>".repeat(1001);
+    for (model, expected) in [
+        (document(&arm.repeat(301), ""), "the model has 301 degrees of freedom, at most 300"),
+        (document(&geoms, ""), "the model has 5002 shapes, at most 5000"),
+        (document(LOPSIDED, &motors), "<actuator> has 1001 elements, at most 1000"),
+    ] {
+        let reason = robot(&model).err().unwrap();
+        assert!(reason.contains(expected), "{reason}");
+    }
+}
+
+#[test]
+fn wrong_settings_are_listed_with_everything_else_that_is_wrong() {
+    let model = EVERYTHING
+        .replace("timestep=\"0.002\"", "timestep=\"0\"")
+        .replace("cone=\"elliptic\"", "cone=\"round\"")
+        .replace("angle=\"radian\"", "angle=\"turn\"")
+        .replace("gravcomp=\"0\"", "gravcomp=\"x\"")
+        .replace("<mesh name=\"m\"", "<mesh");
+    let text = robot(&model).err().unwrap();
+    let lines: Vec<&str> = text.lines().map(str::trim).collect();
+    assert!(lines[0].ends_with("4 things are not supported"), "{text}");
+    let starts =
+        ["line 2, <compiler>: `angle`", "line 3, <option>: `timestep`", "line 3, <option>: `cone`"];
+    for (line, start) in lines[1..].iter().zip(starts) {
+        assert!(line.starts_with(start), "{line} instead of {start}");
+    }
+    assert!(lines[4].contains("it has neither a name nor a file"), "{text}");
+}
+
 /// The wall and the base are fixed: MuJoCo 4.0.0 has no contact between them, whatever their pair says.
 #[test]
 fn a_pair_of_two_fixed_shapes_is_no_contact() {
