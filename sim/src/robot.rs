@@ -36,8 +36,8 @@ pub(crate) use assemble::{
     ShapeTag, Template, ball_joint, ball_rotation, empty_world, floating_joint,
 };
 pub(crate) use blueprint::{
-    Blueprint, Cone, ContactRules, GroundForm, GroundPlan, JointPlan, Keyframe, Law, LinkPlan,
-    MotorPlan, PairPlan, ShapePlan,
+    Blueprint, Cone, ContactRules, GroundForm, GroundPlan, HeightField, JointPlan, Keyframe, Law,
+    LinkPlan, MotorPlan, PairPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};

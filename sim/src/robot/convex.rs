@@ -177,8 +177,14 @@ fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vecto
 impl SupportMap for Convex {
     fn local_support_point(&self, along: Vector) -> Vector {
         let inside = self.pose.rotation.inverse() * along;
-        if let Form::Hull(hull, _) = &self.form {
-            return self.pose * farthest(hull, inside);
+        match &self.form {
+            Form::Box(half) => {
+                let (half, along) = (half.to_array(), inside.to_array());
+                let end = |axis: usize| if along[axis] < 0.0 { -half[axis] } else { half[axis] };
+                return self.pose * Vector::from_array([0, 1, 2].map(end));
+            }
+            Form::Hull(hull, _) => return self.pose * farthest(hull, inside),
+            Form::Cylinder(_) | Form::Ellipsoid(_) => {}
         }
         let mut best = (Vector::ZERO, f32::NEG_INFINITY);
         self.corners(inside, |corner, _| {

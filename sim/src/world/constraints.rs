@@ -1,7 +1,8 @@
 //! MuJoCo's equations of motion for the engine's multibody: accelerations with the forces of contacts, joint limits and
 //! dry friction, which are solved together.
 //!
-//! The engine finds the contacts; it makes no step of its own. A constraint of a length with position `r` and speed `v`,
+//! The engine holds the positions of the joints and finds the points in which two shapes touch; it makes no step of its own.
+//! A constraint of a length with position `r` and speed `v`,
 //! negative for a violation, has the reference acceleration `a_ref = -b v - k d(r) r` and, at the acceleration `a`, the
 //! force `(a_ref - a) / R` with `R = (1 - d(r)) / d(r) A`; `A` is its inverse mass in the rest pose.
 //! [`Softness`](crate::robot::Softness) holds `k`, `b` and `d`. The step is MuJoCo's semi-implicit Euler step: new
@@ -14,17 +15,19 @@ mod contacts;
 mod couplings;
 mod matrix;
 mod motion;
+mod near;
 mod problem;
+mod rows;
 mod runge_kutta;
 
 use rapier3d::dynamics::Multibody;
 use rapier3d::math::Vector;
-use rapier3d::prelude::{PairFilterContext, PhysicsHooks, PhysicsWorld, SolverFlags};
+use rapier3d::prelude::PhysicsWorld;
 
-use super::{HingeDrives, place};
+use super::HingeDrives;
 use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, unit};
 use contacts::Touching;
-use matrix::dot;
+use matrix::{Factor, dot};
 use motion::{Motion, move_joint};
 use problem::{ConstraintProblem, Kind};
 use runge_kutta::RungeKutta;
@@ -37,7 +40,7 @@ pub(crate) struct Constraints {
     start: Motion,
     problem: ConstraintProblem,
     /// Mass matrix plus the damping in a step.
-    implicit_mass: Vec<f64>,
+    implicit_mass: Factor,
     /// Accelerations, then the change of the velocities in the step.
     change: Vec<f64>,
     /// Velocities at the end of the step.
@@ -56,7 +59,7 @@ impl Constraints {
             touching: Touching::new(robot),
             start: Motion::default(),
             problem: ConstraintProblem::default(),
-            implicit_mass: Vec::new(),
+            implicit_mass: Factor::default(),
             change: Vec::new(),
             end: Vec::new(),
             stages: RungeKutta::default(),
@@ -97,20 +100,17 @@ impl Constraints {
     /// Computes the accelerations, with MuJoCo's implicit damping unless the integrator is that of Runge and Kutta.
     fn accelerate(&mut self, robot: &Robot, drives: &HingeDrives, physics: &mut PhysicsWorld) {
         let layout = robot.layout();
-        // A step without duration finds the shapes that are close.
-        physics.integration_parameters.dt = 0.0;
-        physics.step_with_events(self, &());
         let multibody = physics.multibody_joints.get_multibody(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
-        self.start.read(robot.blueprint(), layout, multibody, physics);
+        self.start.read(robot, multibody, physics);
         self.weigh(layout, drives, multibody);
         self.constrain(robot, physics);
         if self.problem.has_constraints() {
             self.problem.solve();
         }
         self.problem.total(&mut self.change);
-        matrix::factorise(&mut self.implicit_mass, self.change.len());
-        matrix::substitute(&self.implicit_mass, &mut self.change);
+        self.implicit_mass.factorise(self.change.len());
+        self.implicit_mass.solve(&mut self.change);
     }
 
     /// Computes the mass matrix and the forces without constraints.
@@ -120,14 +120,14 @@ impl Constraints {
         self.start.write(multibody, &mut self.problem);
         self.change.clear();
         self.change.resize(size, 0.0);
-        self.implicit_mass.clear();
-        self.implicit_mass.extend_from_slice(&self.problem.mass);
+        let implicit = &mut self.implicit_mass.matrix;
+        implicit.clone_from(&self.problem.mass);
         for (index, (damping, speed)) in
             multibody.damping().iter().zip(&self.start.speeds).enumerate()
         {
             let damping = f64::from(*damping);
             if self.integration == Integration::Euler {
-                self.implicit_mass[index * size + index] += self.step_secs * damping;
+                implicit[index * size + index] += self.step_secs * damping;
             }
             self.problem.pull[index] -= damping * speed;
         }
@@ -188,8 +188,7 @@ impl Constraints {
             return false;
         }
         multibody.forward_kinematics(&physics.bodies, false);
-        place(physics, layout.multibody);
-        true
+        multibody.links().all(|link| link.local_to_world().translation.is_finite())
     }
 }
 
@@ -254,12 +253,5 @@ fn add_free_friction(problem: &mut ConstraintProblem, start: &Motion, free: &Fre
             problem.set_row(aim, f64::from(softness.compliance(0.0)) * inverse);
             problem.close(Kind::Bounded(f64::from(free.plan.friction)));
         }
-    }
-}
-
-impl PhysicsHooks for Constraints {
-    /// The engine finds shapes that are close, and no more.
-    fn filter_contact_pair(&self, _: &PairFilterContext) -> Option<SolverFlags> {
-        None
     }
 }

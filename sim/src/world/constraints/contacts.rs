@@ -4,22 +4,24 @@ use rapier3d::geometry::Collider;
 use rapier3d::glamx::DVec3;
 use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
-use rapier3d::prelude::PhysicsWorld;
+use rapier3d::prelude::{ColliderHandle, PhysicsWorld};
 
+use super::matrix::dot;
 use super::motion::{LinkMotion, Motion, wide};
+use super::near::{Bounds, Near};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
     Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, ShapeTag, Surface,
 };
 use crate::scene::Shape;
 
-/// Levers up to this are rounding, m. Without compliance, even such a lever would turn a link.
-const LEAST_LEVER: f64 = 1e-6;
-
 /// The shapes of a robot and its world that can touch, and the contacts of the last step.
 pub(super) struct Touching {
     /// The robot's shapes, then the fixed ones, in the order of [`ShapeTag::shape`].
     shapes: Vec<TouchShape>,
+    near: Near,
+    /// Shapes that are close in this step, in order; the first of a link and a fixed shape is the fixed one.
+    pairs: Vec<[usize; 2]>,
     /// Memory for the points in which two shapes touch.
     manifolds: Vec<ContactManifold<(), ()>>,
     /// For each contact, its first row and the number of rows whose forces add up to the normal force.
@@ -36,8 +38,12 @@ pub(super) struct Touching {
 /// A shape in contacts.
 struct TouchShape {
     /// `None` if it touches nothing.
+    collider: Option<ColliderHandle>,
     surface: Option<Surface>,
     kind: TouchKind,
+    /// Index of its body in the model.
+    body: usize,
+    bounds: Bounds,
     /// Inverse mass and inertia of its body in the rest pose, 1/kg and 1/(kg m^2); 0 if it is fixed.
     inverse: [f64; 2],
     form: TouchForm,
@@ -85,8 +91,11 @@ impl Touching {
             plan.shapes.iter().map(move |shape| (kind, shape))
         });
         let moving = shapes.zip(inverses).map(|((kind, shape), inverse)| TouchShape {
+            collider: None,
             surface: shape.surface,
             kind,
+            body: shape.body,
+            bounds: Bounds::of_shape(&shape.shape, &shape.pose),
             inverse: if kind == TouchKind::Base { [0.0; 2] } else { *inverse },
             form: match shape.shape {
                 Shape::Capsule { .. } => TouchForm::Capsule,
@@ -94,8 +103,15 @@ impl Touching {
             },
         });
         let fixed = blueprint.grounds.iter().map(|ground| TouchShape {
+            collider: None,
             surface: Some(ground.surface),
             kind: TouchKind::Ground,
+            body: ground.body,
+            bounds: match &ground.form {
+                GroundForm::Plane => Bounds::Plane,
+                GroundForm::Solid(shape) => Bounds::of_shape(shape, &ground.pose),
+                GroundForm::Field(field) => Bounds::of_field(field),
+            },
             inverse: [0.0; 2],
             form: match ground.form {
                 GroundForm::Plane => TouchForm::Plane,
@@ -103,8 +119,14 @@ impl Touching {
                 GroundForm::Solid(_) | GroundForm::Field(_) => TouchForm::Other,
             },
         });
+        let mut shapes: Vec<TouchShape> = moving.chain(fixed).collect();
+        for (handle, collider) in robot.template().colliders.iter() {
+            shapes[ShapeTag::of(collider).shape].collider = Some(handle);
+        }
         Self {
-            shapes: moving.chain(fixed).collect(),
+            shapes,
+            near: Near::default(),
+            pairs: Vec::new(),
             manifolds: Vec::new(),
             normals: Vec::new(),
             rules: blueprint.contacts.clone(),
@@ -115,16 +137,16 @@ impl Touching {
     }
 
     /// Whether two shapes can touch, by MuJoCo's rules.
-    fn meet(&self, first: ShapeTag, second: ShapeTag) -> bool {
-        let is_link = |tag: ShapeTag| matches!(self.shapes[tag.shape].kind, TouchKind::Link(_));
+    fn meet(&self, pair: [usize; 2]) -> bool {
+        let [first, second] = pair.map(|shape| &self.shapes[shape]);
+        let is_link = |shape: &TouchShape| matches!(shape.kind, TouchKind::Link(_));
         if !is_link(first) && !is_link(second) {
             return false;
         }
-        if self.pair(first, second).is_some() {
+        if self.pair(pair).is_some() {
             return true;
         }
         let bodies = [first.body.min(second.body), first.body.max(second.body)];
-        let [first, second] = [first, second].map(|tag| &self.shapes[tag.shape]);
         let meets = match (first.surface, second.surface) {
             (Some(one), Some(other)) => one.meets(&other),
             _ => false,
@@ -149,14 +171,13 @@ impl Touching {
     }
 
     /// The rules of a pair of shapes, if it has its own.
-    fn pair(&self, first: ShapeTag, second: ShapeTag) -> Option<&PairPlan> {
-        let shapes = [first.shape.min(second.shape), first.shape.max(second.shape)];
+    fn pair(&self, [first, second]: [usize; 2]) -> Option<&PairPlan> {
+        let shapes = [first.min(second), first.max(second)];
         let pairs = &self.rules.pairs;
         pairs.binary_search_by_key(&shapes, |pair| pair.shapes).ok().map(|index| &pairs[index])
     }
 
-    /// Adds the contacts of all shapes that the engine has found to be close. Their points are computed anew in each step,
-    /// because the engine moves old points with the shapes for up to a millimetre.
+    /// Adds the contacts of all shapes.
     pub(super) fn add(
         &mut self,
         blueprint: &Blueprint,
@@ -164,36 +185,53 @@ impl Touching {
         start: &Motion,
         problem: &mut ConstraintProblem,
     ) {
+        self.find_pairs(physics, start);
         self.normals.clear();
-        for pair in physics.narrow_phase.contact_pairs() {
-            let colliders = [pair.collider1, pair.collider2];
-            let colliders = colliders.map(|handle| &physics.colliders[handle]);
-            let [one, other] = colliders.map(ShapeTag::of);
-            if self.meet(one, other) {
-                self.add_pair(blueprint, colliders, start, problem);
-            }
+        for index in 0..self.pairs.len() {
+            self.add_pair(blueprint, (self.pairs[index], physics), start, problem);
         }
+    }
+
+    /// Finds the shapes that are close and can touch.
+    fn find_pairs(&mut self, physics: &PhysicsWorld, start: &Motion) {
+        let mut near = std::mem::take(&mut self.near);
+        near.clear();
+        for (index, shape) in self.shapes.iter().enumerate() {
+            let Some(handle) = shape.collider else { continue };
+            let collider = &physics.colliders[handle];
+            let frame = pose_at_start(collider, shape.link(start));
+            near.add(index, &shape.bounds, &frame, collider.contact_skin());
+        }
+        let mut pairs = std::mem::take(&mut self.pairs);
+        pairs.clear();
+        near.pairs(|[one, other]| {
+            let is_ground = self.shapes[one.max(other)].kind == TouchKind::Ground;
+            let pair = [one.min(other), one.max(other)];
+            if self.meet(pair) {
+                pairs.push(if is_ground { [pair[1], pair[0]] } else { pair });
+            }
+        });
+        pairs.sort_unstable();
+        (self.near, self.pairs) = (near, pairs);
     }
 
     fn add_pair(
         &mut self,
         blueprint: &Blueprint,
-        colliders: [&Collider; 2],
+        (pair, physics): ([usize; 2], &PhysicsWorld),
         start: &Motion,
         problem: &mut ConstraintProblem,
     ) {
-        let tags = colliders.map(ShapeTag::of);
-        let shapes = tags.map(|tag| &self.shapes[tag.shape]);
+        let shapes = pair.map(|shape| &self.shapes[shape]);
         let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return };
-        let plan = match self.pair(tags[0], tags[1]) {
+        let [Some(first), Some(second)] = shapes.map(|shape| shape.collider) else { return };
+        let colliders = [first, second].map(|handle| &physics.colliders[handle]);
+        let plan = match self.pair(pair) {
             Some(pair) => pair.contact,
             None => one.contact(&other, &self.rules.stated, blueprint.timestep_secs),
         };
         let plan = plan.with_friction(self.friction);
-        let links = shapes.map(|shape| match shape.kind {
-            TouchKind::Link(link) => Some(&start.links[link]),
-            TouchKind::Base | TouchKind::Ground => None,
-        });
+        let links = shapes.map(|shape| shape.link(start));
         let inverse = [0, 1].map(|k| shapes[0].inverse[k] + shapes[1].inverse[k]);
         let poses = [0, 1].map(|k| pose_at_start(colliders[k], links[k]));
         let along = direction(shapes.map(|shape| shape.form), colliders, poses);
@@ -222,17 +260,24 @@ impl Touching {
                     axes: frame(normal, along).map(wide),
                     position: f64::from(point.dist) - f64::from(plan.margin),
                 };
-                self.normals.push(contact.add(blueprint, &start.speeds, problem));
+                self.normals.push(contact.add(blueprint, start, problem));
             }
         }
         self.manifolds = manifolds;
     }
-}
 
-impl Touching {
     /// Sum of the normal forces of the contacts that were added last, N.
     pub(super) fn normal_force(&self, forces: &[f64]) -> f64 {
         self.normals.iter().flat_map(|(first, count)| &forces[*first..first + count]).sum()
+    }
+}
+
+impl TouchShape {
+    fn link<'a>(&self, start: &'a Motion) -> Option<&'a LinkMotion> {
+        match self.kind {
+            TouchKind::Link(link) => Some(&start.links[link]),
+            TouchKind::Base | TouchKind::Ground => None,
+        }
     }
 }
 
@@ -241,7 +286,7 @@ impl Contact<'_> {
     fn add(
         &self,
         blueprint: &Blueprint,
-        speeds: &[f64],
+        start: &Motion,
         problem: &mut ConstraintProblem,
     ) -> (usize, usize) {
         let softness = &self.plan.softness;
@@ -250,19 +295,19 @@ impl Contact<'_> {
         let mu = self.plan.friction[0];
         let impratio = blueprint.contacts.impratio;
         if frictions == 0 {
-            self.fill(problem.add_row(), &[(0, 1.0)]);
-            let aim = softness.reference_acceleration(Some(self.position), speed(problem, speeds));
+            self.fill(problem.add_row(), start, &[(0, 1.0)]);
+            let aim = softness.reference_acceleration(Some(self.position), speed(problem, start));
             problem.set_row(aim, compliance);
             return (problem.close(Kind::Push), 1);
         }
         if blueprint.contacts.cone == Cone::Elliptic {
             for direction in 0..=frictions {
-                self.fill(problem.add_row(), &[(direction, 1.0)]);
+                self.fill(problem.add_row(), start, &[(direction, 1.0)]);
                 let (position, ratio) = match direction {
                     0 => (Some(self.position), 1.0),
                     k => (None, mu / self.plan.friction[k - 1]),
                 };
-                let aim = softness.reference_acceleration(position, speed(problem, speeds));
+                let aim = softness.reference_acceleration(position, speed(problem, start));
                 let share = if direction == 0 { 1.0 } else { ratio * ratio / impratio };
                 problem.set_scaled_row(aim, compliance, share);
             }
@@ -275,9 +320,9 @@ impl Contact<'_> {
         for direction in 1..=frictions {
             for sign in [1.0, -1.0] {
                 let friction = sign * self.plan.friction[direction - 1];
-                self.fill(problem.add_row(), &[(0, 1.0), (direction, friction)]);
+                self.fill(problem.add_row(), start, &[(0, 1.0), (direction, friction)]);
                 let aim =
-                    softness.reference_acceleration(Some(self.position), speed(problem, speeds));
+                    softness.reference_acceleration(Some(self.position), speed(problem, start));
                 problem.set_scaled_row(aim, compliance, 2.0 * mu * mu / impratio);
                 first = problem.close(Kind::Push);
             }
@@ -287,30 +332,21 @@ impl Contact<'_> {
 
     /// Writes the Jacobian of a sum of directions, each with its factor: 0 for the normal, 1 and 2 for the tangents, and
     /// 3 to 5 for rotations about these three.
-    fn fill(&self, row: &mut [f64], directions: &[(usize, f64)]) {
+    fn fill(&self, row: &mut [f64], start: &Motion, directions: &[(usize, f64)]) {
         for (link, sign) in self.links.iter().zip([-1.0, 1.0]) {
             let Some(link) = link else { continue };
             for (direction, factor) in directions {
-                let axis = self.axes[direction % 3];
-                let [force, torque] = match direction {
-                    0..3 => [axis, (self.point - link.mass_centre).cross(axis)],
-                    _ => [DVec3::ZERO, axis],
-                };
-                for (number, column) in row.iter_mut().zip(&link.jacobian) {
-                    let [moved, turned] = [0, 3].map(|k| DVec3::from_slice(&column[k..k + 3]));
-                    let lever = moved.dot(force) + turned.dot(torque);
-                    if lever.abs() > LEAST_LEVER * turned.length() {
-                        *number += sign * factor * lever;
-                    }
-                }
+                let mut wrench = [DVec3::ZERO; 2];
+                wrench[direction / 3] = self.axes[direction % 3];
+                start.add_levers(row, (link, self.point), wrench, sign * factor);
             }
         }
     }
 }
 
 /// Speed along the row that was added last.
-fn speed(problem: &ConstraintProblem, speeds: &[f64]) -> f64 {
-    problem.last_row().iter().zip(speeds).fold(0.0, |sum, (a, b)| sum + a * b)
+fn speed(problem: &ConstraintProblem, start: &Motion) -> f64 {
+    dot(problem.last_row(), &start.speeds)
 }
 
 fn pose_at_start(collider: &Collider, link: Option<&LinkMotion>) -> Pose {

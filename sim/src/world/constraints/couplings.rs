@@ -2,6 +2,7 @@
 
 use rapier3d::glamx::DVec3;
 
+use super::matrix::dot;
 use super::motion::{LinkMotion, Motion, wide};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
@@ -110,18 +111,14 @@ fn add_connection(
     let violation = rows.iter().map(|row| row.off * row.off).sum::<f64>().sqrt();
     let softness = &connection.softness;
     let compliance = f64::from(softness.compliance(violation as f32));
-    for Held { off, wrench: [force, torque], drift, inverse } in rows {
-        let (row, mut speed) = (problem.add_row(), 0.0);
+    for Held { off, wrench, drift, inverse } in rows {
+        let row = problem.add_row();
         for (sign, link, point) in [(1.0, links[0], first), (-1.0, links[1], second)] {
-            let Some(link) = link else { continue };
-            let twist = (wide(point) - link.mass_centre).cross(force) + torque;
-            for (dof, column) in link.jacobian.iter().enumerate() {
-                let [moved, turned] = [0, 3].map(|part| DVec3::from_slice(&column[part..]));
-                let part = sign * (force.dot(moved) + twist.dot(turned));
-                row[dof] += part;
-                speed += part * start.speeds[dof];
+            if let Some(link) = link {
+                start.add_levers(row, (link, wide(point)), wrench, sign);
             }
         }
+        let speed = dot(row, &start.speeds);
         let aim = softness.acceleration_at(violation, [off, speed]);
         problem.set_row(aim - drift, compliance * inverse);
         problem.close(Kind::Hold);

@@ -8,9 +8,11 @@ use rapier3d::prelude::PhysicsWorld;
 use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
 use crate::robot::{
-    Blueprint, Fluid, JointMap, JointPlan, Layout, LinkPlan, MapKind, ball_joint, ball_rotation,
-    turned,
+    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, ball_joint, ball_rotation, turned,
 };
+
+/// Levers up to this are rounding, m. Without compliance, even such a lever would turn a link.
+const LEAST_LEVER: f64 = 1e-6;
 
 /// The motion at the start of a step. Velocities have the order of the multibody.
 #[derive(Default)]
@@ -20,14 +22,21 @@ pub(super) struct Motion {
     pub(super) links: Vec<LinkMotion>,
     /// Positions of the hinges in the model's direction, m or rad.
     pub(super) hinges: Vec<f64>,
+    /// A point near the robot.
+    origin: DVec3,
+    /// For each velocity, the linear velocity at the origin and the angular velocity that it gives a link and its children.
+    twists: Vec<[DVec3; 2]>,
 }
 
 /// A link at the start of a step, in the axes of the world.
 pub(super) struct LinkMotion {
+    /// The velocities that move the link: those of its ancestors, then its own.
+    dofs: Vec<usize>,
+    /// Number of its own.
+    own: usize,
+    parent: Option<usize>,
     pub(super) pose: Pose,
     pub(super) mass_centre: DVec3,
-    /// Linear and angular velocity of the mass centre for each velocity.
-    pub(super) jacobian: Vec<[f64; 6]>,
     pub(super) joint: MultibodyJoint,
     /// kg and kg m^2; 0 for links without a mass.
     mass: f64,
@@ -40,36 +49,80 @@ pub(super) struct LinkMotion {
     pub(super) velocity: [DVec3; 2],
     /// Their rates while all velocities of the joints are constant, m/s^2 and rad/s^2.
     pub(super) rates: [DVec3; 2],
+    /// The link with all links that hang on it.
+    branch: Branch,
+}
+
+/// Links that move as one.
+#[derive(Clone, Copy)]
+struct Branch {
+    /// kg.
+    mass: f64,
+    /// Mass times the position of the mass centre from the origin, kg m.
+    moment: DVec3,
+    /// Inertia about the origin, kg m^2.
+    inertia: DMat3,
+    /// Force, N, and torque about the origin, N m, on the links, less what their motion at constant velocities needs.
+    pull: [DVec3; 2],
 }
 
 impl Motion {
     /// Reads the motion from the multibody.
-    pub(super) fn read(
-        &mut self,
-        blueprint: &Blueprint,
-        layout: &Layout,
-        multibody: &Multibody,
-        physics: &PhysicsWorld,
-    ) {
+    pub(super) fn read(&mut self, robot: &Robot, multibody: &Multibody, physics: &PhysicsWorld) {
+        let (blueprint, layout) = (robot.blueprint(), robot.layout());
+        if self.links.is_empty() {
+            self.links = links_of(robot, multibody);
+        }
         self.speeds.clear();
         self.speeds.extend(multibody.generalized_velocity().iter().map(|speed| f64::from(*speed)));
-        let mut old = std::mem::take(&mut self.links).into_iter();
-        for (plan, map) in blueprint.links.iter().zip(&layout.joints) {
-            let memory = old.next().map(|link| link.jacobian).unwrap_or_default();
-            let mut link = LinkMotion::read(map, multibody, &physics.bodies, memory);
-            link.velocity = link.velocity_for(&self.speeds);
+        self.twists.clear();
+        self.twists.resize(self.speeds.len(), [DVec3::ZERO; 2]);
+        let first = multibody.link(layout.joints[0].link).expect("the layout is this robot's");
+        self.origin = wide(first.local_to_world().translation);
+        for (index, (plan, map)) in blueprint.links.iter().zip(&layout.joints).enumerate() {
+            let (before, rest) = self.links.split_at_mut(index);
+            let (link, parent) = (&mut rest[0], plan.parent.map(|parent| &before[parent]));
+            link.read(map, multibody, &physics.bodies);
             link.pull[0] += link.weight * wide(physics.gravity);
-            link.rates = rates(plan, &link, plan.parent.map(|parent| &self.links[parent]));
-            self.links.push(link);
+            let arm = link.mass_centre - self.origin;
+            let jacobian = multibody.body_jacobian(map.link);
+            let mut twist = parent.map_or([DVec3::ZERO; 2], |parent| {
+                let [velocity, spin] = parent.velocity;
+                [velocity - spin.cross(parent.mass_centre - self.origin), spin]
+            });
+            for dof in &link.dofs[link.dofs.len() - link.own..] {
+                let column = jacobian.column(*dof);
+                let [moved, turned] =
+                    [0, 3].map(|k| wide(Vector::new(column[k], column[k + 1], column[k + 2])));
+                let own = [moved - turned.cross(arm), turned];
+                self.twists[*dof] = own;
+                twist = [0, 1].map(|k| twist[k] + own[k] * self.speeds[*dof]);
+            }
+            link.velocity = [twist[0] + twist[1].cross(arm), twist[1]];
+            link.rates = rates(plan, link, parent);
         }
         if let Some(fluid) = &blueprint.fluid {
             self.flow(fluid);
         }
+        self.gather();
         self.hinges.clear();
         self.hinges.extend(layout.hinges.iter().map(|hinge| {
             let link = multibody.link(hinge.link).expect("the layout is this robot's");
             f64::from(hinge.position(link.joint()))
         }));
+    }
+
+    /// Computes the branches.
+    fn gather(&mut self) {
+        for link in &mut self.links {
+            link.branch = link.alone(link.mass_centre - self.origin);
+        }
+        for index in (0..self.links.len()).rev() {
+            if let Some(parent) = self.links[index].parent {
+                let branch = self.links[index].branch;
+                self.links[parent].branch.add(&branch);
+            }
+        }
     }
 
     /// Adds the forces of a fluid.
@@ -93,48 +146,90 @@ impl Motion {
     /// Writes the mass matrix with armature, and the forces of gravity, of the rotation of the links and from outside.
     pub(super) fn write(&self, multibody: &Multibody, problem: &mut ConstraintProblem) {
         let size = self.speeds.len();
-        for link in self.links.iter().filter(|link| link.mass > 0.0) {
-            link.add_mass(&mut problem.mass);
-            link.add_pull(&mut problem.pull);
+        for link in &self.links {
+            for (count, dof) in link.dofs.iter().enumerate().skip(link.dofs.len() - link.own) {
+                let twist = self.twists[*dof];
+                problem.pull[*dof] += product(twist, link.branch.pull);
+                let momentum = link.branch.momentum(twist);
+                let line = &mut problem.mass[dof * size..][..=*dof];
+                for other in &link.dofs[..=count] {
+                    line[*other] = product(self.twists[*other], momentum);
+                }
+            }
         }
         for (index, armature) in multibody.armature().iter().enumerate() {
             problem.mass[index * size + index] += f64::from(*armature);
         }
     }
+
+    /// Adds to a row of a Jacobian `factor` times what a force at a point of a link and a torque do: their work for each unit
+    /// of velocity.
+    pub(super) fn add_levers(
+        &self,
+        row: &mut [f64],
+        (link, point): (&LinkMotion, DVec3),
+        [force, torque]: [DVec3; 2],
+        factor: f64,
+    ) {
+        let wrench = [force, torque + (point - self.origin).cross(force)];
+        for dof in &link.dofs {
+            let twist = self.twists[*dof];
+            let lever = product(twist, wrench);
+            if lever * lever > LEAST_LEVER * LEAST_LEVER * twist[1].length_squared() {
+                row[*dof] += factor * lever;
+            }
+        }
+    }
+}
+
+/// Memory for the links of a robot.
+fn links_of(robot: &Robot, multibody: &Multibody) -> Vec<LinkMotion> {
+    let mut links: Vec<LinkMotion> = Vec::new();
+    for (plan, map) in robot.blueprint().links.iter().zip(&robot.layout().joints) {
+        let link = multibody.link(map.link).expect("the layout is this robot's");
+        let own = link.joint().ndofs();
+        let mut dofs = plan.parent.map_or(Vec::new(), |parent| links[parent].dofs.clone());
+        dofs.extend(map.dof..map.dof + own);
+        links.push(LinkMotion::new(*link.joint(), dofs, own, plan.parent));
+    }
+    links
 }
 
 impl LinkMotion {
-    /// Reads a link. `jacobian` is memory.
-    fn read(
-        map: &JointMap,
-        multibody: &Multibody,
-        bodies: &RigidBodySet,
-        mut jacobian: Vec<[f64; 6]>,
-    ) -> Self {
+    fn new(joint: MultibodyJoint, dofs: Vec<usize>, own: usize, parent: Option<usize>) -> Self {
+        Self {
+            dofs,
+            own,
+            parent,
+            pose: Pose::IDENTITY,
+            mass_centre: DVec3::ZERO,
+            joint,
+            mass: 0.0,
+            weight: 0.0,
+            inertia: DMat3::ZERO,
+            pull: [DVec3::ZERO; 2],
+            velocity: [DVec3::ZERO; 2],
+            rates: [DVec3::ZERO; 2],
+            branch: Branch::NOTHING,
+        }
+    }
+
+    /// Reads what does not depend on the velocities.
+    fn read(&mut self, map: &JointMap, multibody: &Multibody, bodies: &RigidBodySet) {
         let link = multibody.link(map.link).expect("the layout is this robot's");
         let body = &bodies[map.body];
         let properties = &body.mass_properties().local_mprops;
-        let pose = *link.local_to_world();
-        let turn = DMat3::from_quat(DQuat::from_array(pose.rotation.to_array().map(f64::from)));
+        self.pose = *link.local_to_world();
+        self.joint = *link.joint();
+        let turn =
+            DMat3::from_quat(DQuat::from_array(self.pose.rotation.to_array().map(f64::from)));
         let axes = properties.reconstruct_inertia_matrix().to_cols_array().map(f64::from);
         let is_massive = properties.inv_mass > 0.0;
-        jacobian.clear();
-        let columns = multibody.body_jacobian(map.link).column_iter();
-        let columns = columns.map(|column| std::array::from_fn(|row| f64::from(column[row])));
-        jacobian.extend(columns);
-        let mass = if is_massive { f64::from(properties.mass()) } else { 0.0 };
-        Self {
-            pose,
-            mass_centre: wide(pose * properties.local_com),
-            jacobian,
-            joint: *link.joint(),
-            mass,
-            weight: mass * f64::from(body.gravity_scale()),
-            inertia: turn * DMat3::from_cols_array(&axes) * turn.transpose(),
-            pull: [wide(body.user_force()), wide(body.user_torque())],
-            velocity: [DVec3::ZERO; 2],
-            rates: [DVec3::ZERO; 2],
-        }
+        self.mass_centre = wide(self.pose * properties.local_com);
+        self.mass = if is_massive { f64::from(properties.mass()) } else { 0.0 };
+        self.weight = self.mass * f64::from(body.gravity_scale());
+        self.inertia = turn * DMat3::from_cols_array(&axes) * turn.transpose();
+        self.pull = [wide(body.user_force()), wide(body.user_torque())];
     }
 
     /// Acceleration of one of its points while all velocities of the joints are constant, m/s^2.
@@ -144,41 +239,49 @@ impl LinkMotion {
         moving + turning.cross(arm) + spin.cross(spin.cross(arm))
     }
 
-    fn velocity_for(&self, speeds: &[f64]) -> [DVec3; 2] {
-        let mut sum = [0.0; 6];
-        for (column, speed) in self.jacobian.iter().zip(speeds) {
-            sum.iter_mut().zip(column).for_each(|(sum, part)| *sum += part * speed);
+    /// The link without others, with its mass centre at `arm` from the origin.
+    fn alone(&self, arm: DVec3) -> Branch {
+        if self.mass <= 0.0 {
+            return Branch::NOTHING;
         }
-        [DVec3::from_slice(&sum[..3]), DVec3::from_slice(&sum[3..])]
-    }
-
-    /// Adds the link's part to the lower half of the mass matrix.
-    fn add_mass(&self, matrix: &mut [f64]) {
-        let size = self.jacobian.len();
-        for (index, column) in self.jacobian.iter().enumerate() {
-            if *column == [0.0; 6] {
-                continue;
-            }
-            let push = self.mass * DVec3::from_slice(&column[..3]);
-            let twist = self.inertia * DVec3::from_slice(&column[3..]);
-            let momentum = [push.x, push.y, push.z, twist.x, twist.y, twist.z];
-            for (other, number) in self.jacobian.iter().zip(&mut matrix[index * size..][..=index]) {
-                *number += momentum.iter().zip(other).fold(0.0, |sum, (a, b)| sum + a * b);
-            }
-        }
-    }
-
-    /// Adds the force on the link from outside, less what its motion at constant velocities needs.
-    fn add_pull(&self, out: &mut [f64]) {
         let [acceleration, turning] = self.rates;
         let spin = self.velocity[1];
         let force = self.pull[0] - self.mass * acceleration;
         let torque = self.pull[1] - self.inertia * turning - spin.cross(self.inertia * spin);
-        let wrench = [force.x, force.y, force.z, torque.x, torque.y, torque.z];
-        for (number, column) in out.iter_mut().zip(&self.jacobian) {
-            *number += column.iter().zip(&wrench).fold(0.0, |sum, (a, b)| sum + a * b);
+        let outer = DMat3::from_cols(arm * arm.x, arm * arm.y, arm * arm.z);
+        let square = DMat3::from_diagonal(DVec3::splat(arm.length_squared()));
+        Branch {
+            mass: self.mass,
+            moment: self.mass * arm,
+            inertia: self.inertia + (square - outer) * self.mass,
+            pull: [force, torque + arm.cross(force)],
         }
     }
+}
+
+impl Branch {
+    const NOTHING: Self =
+        Self { mass: 0.0, moment: DVec3::ZERO, inertia: DMat3::ZERO, pull: [DVec3::ZERO; 2] };
+
+    fn add(&mut self, other: &Self) {
+        self.mass += other.mass;
+        self.moment += other.moment;
+        self.inertia += other.inertia;
+        self.pull = [0, 1].map(|k| self.pull[k] + other.pull[k]);
+    }
+
+    /// Momentum and angular momentum about the origin.
+    fn momentum(&self, [moved, turned]: [DVec3; 2]) -> [DVec3; 2] {
+        [
+            self.mass * moved + turned.cross(self.moment),
+            self.inertia * turned + self.moment.cross(moved),
+        ]
+    }
+}
+
+/// Power of a force and torque at the velocity and angular velocity of the same point.
+fn product(twist: [DVec3; 2], wrench: [DVec3; 2]) -> f64 {
+    twist[0].dot(wrench[0]) + twist[1].dot(wrench[1])
 }
 
 /// Rates of a link's velocity and angular velocity while all velocities of the joints are constant.

@@ -4,13 +4,15 @@
 //! reference acceleration `a_ref` and the compliance `R` adds the force `f = (a_ref - J a) / R`, which is limited by its
 //! kind. The accelerations are where `a M a / 2 - a b` plus the constraints' costs is least; a cost has the slope `-f`.
 
-use super::matrix::{add_product, add_scaled, dot, factorise, multiply, substitute};
+use super::matrix::{Factor, dot, multiply};
+use super::rows::Rows;
 
 /// Most steps of Newton's method; a robot on four feet needs three to six.
 const MOST_STEPS: usize = 40;
 /// Most lengths that are tried along a step.
 const MOST_LENGTHS: usize = 24;
-/// The solution is accepted when a step would lower the cost by less than this part of its scale.
+/// The solution is accepted when a step would lower the cost by less than this part of its scale, or when the gradient has only
+/// rounding left.
 const PRECISION: f64 = 1e-13;
 /// A length is accepted when the slope there is less than this part of that at the start.
 const FLAT: f64 = 1e-2;
@@ -32,14 +34,6 @@ pub(super) enum Kind {
     /// The normal of a contact, then its directions of friction with their coefficients: the forces are in MuJoCo's
     /// elliptic cone, whose opening in its regularised coordinates is `mu`.
     Cone { mu: f64, friction: [f64; MOST_ROWS - 1] },
-}
-
-/// A constraint: its kind and its rows.
-#[derive(Clone, Copy, Debug)]
-struct Constraint {
-    kind: Kind,
-    first: usize,
-    count: usize,
 }
 
 /// How the cost of a constraint curves.
@@ -64,9 +58,8 @@ pub(super) struct ConstraintProblem {
     pub(super) pull: Vec<f64>,
     /// `a`: where the search starts, then the solution.
     pub(super) accelerations: Vec<f64>,
-    constraints: Vec<Constraint>,
-    /// `J` by rows, `a_ref`, and `1 / R`.
-    rows: Vec<f64>,
+    /// `J`, `a_ref`, and `1 / R`.
+    rows: Rows,
     aims: Vec<f64>,
     weights: Vec<f64>,
     /// `f` of the solution.
@@ -76,13 +69,15 @@ pub(super) struct ConstraintProblem {
 
 #[derive(Debug, Default)]
 struct Work {
+    /// Rows since the last constraint, in full.
+    open: Vec<f64>,
     /// `J a - a_ref`, and its change per length.
     residuals: Vec<f64>,
     changes: Vec<f64>,
     tried: Vec<f64>,
     gradient: Vec<f64>,
     step: Vec<f64>,
-    hessian: Vec<f64>,
+    hessian: Factor,
 }
 
 impl ConstraintProblem {
@@ -93,33 +88,32 @@ impl ConstraintProblem {
             (&mut self.mass, size * size),
             (&mut self.pull, size),
             (&mut self.accelerations, size),
-            (&mut self.work.hessian, size * size),
             (&mut self.work.gradient, size),
             (&mut self.work.step, size),
         ] {
             numbers.clear();
             numbers.resize(count, 0.0);
         }
-        self.constraints.clear();
-        for numbers in [&mut self.rows, &mut self.aims, &mut self.weights, &mut self.forces] {
+        self.rows.clear();
+        for numbers in [&mut self.aims, &mut self.weights, &mut self.forces] {
             numbers.clear();
         }
     }
 
     pub(super) fn has_constraints(&self) -> bool {
-        !self.constraints.is_empty()
+        !self.rows.constraints.is_empty()
     }
 
     /// Adds a row of a constraint, which [`Self::close`] ends, and returns it to be filled.
     pub(super) fn add_row(&mut self) -> &mut [f64] {
-        let start = self.rows.len();
-        self.rows.resize(start + self.size, 0.0);
-        &mut self.rows[start..]
+        let start = self.work.open.len();
+        self.work.open.resize(start + self.size, 0.0);
+        &mut self.work.open[start..]
     }
 
     /// The row that was added last.
     pub(super) fn last_row(&self) -> &[f64] {
-        &self.rows[self.rows.len() - self.size..]
+        &self.work.open[self.work.open.len() - self.size..]
     }
 
     /// Sets the reference acceleration and the compliance of the row that was added last.
@@ -137,7 +131,8 @@ impl ConstraintProblem {
     pub(super) fn close(&mut self, kind: Kind) -> usize {
         let first = self.forces.len();
         self.forces.resize(self.aims.len(), 0.0);
-        self.constraints.push(Constraint { kind, first, count: self.aims.len() - first });
+        self.rows.add(kind, first, (&self.work.open, self.size));
+        self.work.open.clear();
         first
     }
 
@@ -146,7 +141,13 @@ impl ConstraintProblem {
         let trace: f64 = (0..self.size).map(|k| self.mass[k * self.size + k]).sum();
         for _ in 0..MOST_STEPS {
             self.weigh();
-            let energy = self.find_step();
+            let energy = self.find_gradient();
+            let diagonal = self.mass.iter().step_by(self.size + 1);
+            let parts = self.work.gradient.iter().zip(diagonal).map(|(g, mass)| g * g / mass);
+            if parts.sum::<f64>() <= PRECISION * PRECISION * (trace + energy) {
+                return;
+            }
+            self.find_step();
             let drop = -dot(&self.work.gradient, &self.work.step);
             // Also ends the search if a number is not finite.
             if drop.is_nan() || drop <= PRECISION * (trace + energy) {
@@ -171,66 +172,58 @@ impl ConstraintProblem {
 
     /// Computes residuals and forces at the accelerations.
     fn weigh(&mut self) {
-        self.work.residuals.clear();
-        for (row, aim) in self.rows.chunks_exact(self.size).zip(&self.aims) {
-            self.work.residuals.push(dot(row, &self.accelerations) - aim);
-        }
-        for constraint in &self.constraints {
+        let work = &mut self.work;
+        self.rows.multiply(&self.accelerations, &mut work.residuals);
+        work.residuals.iter_mut().zip(&self.aims).for_each(|(residual, aim)| *residual -= aim);
+        for constraint in &self.rows.constraints {
             let rows = constraint.first..constraint.first + constraint.count;
-            let (residuals, weights) =
-                (&self.work.residuals[rows.clone()], &self.weights[rows.clone()]);
+            let (residuals, weights) = (&work.residuals[rows.clone()], &self.weights[rows.clone()]);
             constraint.kind.force(residuals, weights, &mut self.forces[rows]);
         }
     }
 
-    /// Computes the gradient and Newton's step. Returns `a M a`.
-    fn find_step(&mut self) -> f64 {
-        let Self { size, work, .. } = self;
-        let size = *size;
+    /// Computes the gradient. Returns `a M a`.
+    fn find_gradient(&mut self) -> f64 {
+        let Self { rows, work, .. } = self;
         multiply(&self.mass, &self.accelerations, &mut work.gradient);
         let energy = dot(&work.gradient, &self.accelerations);
         for (number, pull) in work.gradient.iter_mut().zip(&self.pull) {
             *number -= pull;
         }
-        work.hessian.copy_from_slice(&self.mass);
-        for (row, force) in self.rows.chunks_exact(size).zip(&self.forces) {
-            add_scaled(&mut work.gradient, -force, row);
+        for constraint in &rows.constraints {
+            let forces = &self.forces[constraint.first..constraint.first + constraint.count];
+            rows.of(constraint).subtract(forces, &mut work.gradient);
         }
-        for constraint in &self.constraints {
-            let rows = constraint.first..constraint.first + constraint.count;
-            let weights = &self.weights[rows.clone()];
-            let residuals = &work.residuals[rows.clone()];
-            let jacobian = &self.rows[rows.start * size..rows.end * size];
+        energy
+    }
+
+    /// Computes Newton's step.
+    fn find_step(&mut self) {
+        let Self { rows, work, .. } = self;
+        work.hessian.matrix.clone_from(&self.mass);
+        for constraint in &rows.constraints {
+            let range = constraint.first..constraint.first + constraint.count;
+            let (residuals, weights) = (&work.residuals[range.clone()], &self.weights[range]);
+            let mut curvature = [[0.0; MOST_ROWS]; MOST_ROWS];
             match constraint.kind.zone(residuals, weights) {
-                Zone::Flat => {}
+                Zone::Flat => continue,
                 Zone::Square => {
-                    for (row, weight) in jacobian.chunks_exact(size).zip(weights) {
-                        add_product(&mut work.hessian, *weight, row, row);
-                    }
+                    weights.iter().enumerate().for_each(|(k, weight)| curvature[k][k] = *weight);
                 }
-                Zone::Surface => {
-                    let curvature = constraint.kind.curvature(residuals, weights);
-                    for (i, first) in jacobian.chunks_exact(size).enumerate() {
-                        for (j, second) in jacobian.chunks_exact(size).enumerate() {
-                            add_product(&mut work.hessian, curvature[i][j], first, second);
-                        }
-                    }
-                }
+                Zone::Surface => curvature = constraint.kind.curvature(residuals, weights),
             }
+            rows.of(constraint).add_curvature(&curvature, &mut work.hessian.matrix, self.size);
         }
         work.step.copy_from_slice(&work.gradient);
         work.step.iter_mut().for_each(|number| *number = -*number);
-        factorise(&mut work.hessian, size);
-        substitute(&work.hessian, &mut work.step);
-        energy
+        work.hessian.factorise(self.size);
+        work.hessian.solve(&mut work.step);
     }
 
     /// Length of the step at which the cost is least. `slope` is that of the cost at length 0, negative.
     fn length(&mut self, slope: f64) -> f64 {
         let work = &mut self.work;
-        work.changes.clear();
-        let rows = self.rows.chunks_exact(self.size);
-        work.changes.extend(rows.map(|row| dot(row, &work.step)));
+        self.rows.multiply(&work.step, &mut work.changes);
         multiply(&self.mass, &work.step, &mut work.gradient);
         let curved = dot(&work.gradient, &work.step);
         let straight = dot(&work.gradient, &self.accelerations) - dot(&work.step, &self.pull);
@@ -263,7 +256,7 @@ impl ConstraintProblem {
         work.tried.extend(residuals.map(|(residual, change)| residual + length * change));
         let mut sum = 0.0;
         let mut forces = [0.0; MOST_ROWS];
-        for constraint in &self.constraints {
+        for constraint in &self.rows.constraints {
             let rows = constraint.first..constraint.first + constraint.count;
             let forces = &mut forces[..constraint.count];
             constraint.kind.force(&work.tried[rows.clone()], &self.weights[rows.clone()], forces);
@@ -276,23 +269,27 @@ impl ConstraintProblem {
 impl Kind {
     /// Forces for the residuals `J a - a_ref` and the weights `1 / R`.
     fn force(&self, residuals: &[f64], weights: &[f64], forces: &mut [f64]) {
-        if let (Self::Cone { mu, friction }, Zone::Surface) = (self, self.zone(residuals, weights))
-        {
-            let (normal, slide, scaled) = scaled(*mu, friction, residuals);
-            let depth = weights[0] / (mu * mu * (1.0 + mu * mu)) * (normal - mu * slide);
-            forces[0] = -depth * mu;
-            for k in 1..forces.len() {
-                forces[k] = depth * mu * scaled[k] / slide * friction[k - 1];
-            }
-            return;
-        }
         let square = residuals.iter().zip(weights).map(|(residual, weight)| -residual * weight);
         forces.iter_mut().zip(square).for_each(|(force, square)| *force = square);
         match self {
+            Self::Hold => {}
             Self::Push => forces[0] = forces[0].max(0.0),
             Self::Bounded(most) => forces[0] = forces[0].clamp(-most, *most),
-            Self::Cone { .. } if self.zone(residuals, weights) == Zone::Flat => forces.fill(0.0),
-            Self::Cone { .. } | Self::Hold => {}
+            Self::Cone { mu, friction } => {
+                let (normal, slide, scaled) = scaled(*mu, friction, residuals);
+                match cone_zone(*mu, normal, slide) {
+                    Zone::Flat => forces.fill(0.0),
+                    Zone::Square => {}
+                    Zone::Surface => {
+                        let depth =
+                            weights[0] / (mu * mu * (1.0 + mu * mu)) * (normal - mu * slide);
+                        forces[0] = -depth * mu;
+                        for k in 1..forces.len() {
+                            forces[k] = depth * mu * scaled[k] / slide * friction[k - 1];
+                        }
+                    }
+                }
+            }
         }
     }
 
@@ -303,13 +300,7 @@ impl Kind {
             Self::Bounded(most) => (residuals[0] * weights[0]).abs() < *most,
             Self::Cone { mu, friction } => {
                 let (normal, slide, _) = scaled(*mu, friction, residuals);
-                if normal >= mu * slide {
-                    return Zone::Flat;
-                }
-                if mu * normal + slide > 0.0 {
-                    return Zone::Surface;
-                }
-                true
+                return cone_zone(*mu, normal, slide);
             }
         };
         if is_square { Zone::Square } else { Zone::Flat }
@@ -336,6 +327,17 @@ impl Kind {
             }
         }
         curvature
+    }
+}
+
+/// Where a force is for the residuals in the coordinates in which the cone is round.
+fn cone_zone(mu: f64, normal: f64, slide: f64) -> Zone {
+    if normal >= mu * slide {
+        Zone::Flat
+    } else if mu * normal + slide > 0.0 {
+        Zone::Surface
+    } else {
+        Zone::Square
     }
 }
 

@@ -25,7 +25,7 @@ fn reference() -> serde_json::Value {
 fn robots_and_objects_move_as_in_mujoco() {
     assert_moves_as_in_mujoco(&reference(), |name| match name {
         // Both engines choose among the points of two boxes.
-        "ball in a box on a table" => 2e-4,
+        "ball in a box on a table" => 3e-4,
         "stack of three boxes" => 5e-4,
         _ => 1e-5,
     });
