@@ -1,0 +1,185 @@
+"""The models, starts and controls of the motions that mujoco_models.py records."""
+
+ARM = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body pos="0 0 1"{body}><joint name="j1" axis="0 1 0" damping="0.2"{joint}/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="1" contype="0" conaffinity="0"/>
+      <body pos="0.3 0 0"{body}><joint name="j2" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  {sections}
+</mujoco>
+"""
+
+FLIGHT = """<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body pos="0 0 9"><joint name="root" type="free" damping="0.8" armature="0.3"{friction}/>
+      <geom type="box" size="0.1 0.2 0.3" mass="2" pos="{place}"/></body>
+  </worldbody>
+</mujoco>
+"""
+# Two fingers on slides and a knuckle that they bend, without weight.
+FINGERS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001" gravity="0 0 0"/>
+  <default><geom contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <body pos="0 0.05 0"><joint name="l" type="slide" axis="0 1 0" damping="2"/><geom size=".02" mass=".1"/></body>
+    <body pos="0 -0.05 0"><joint name="r" type="slide" axis="0 -1 0" ref="0.3" damping="1"/>
+      <geom size=".02" mass=".2"/>
+      <body><joint name="bend" axis="1 0 0" damping="0.01"/><geom size=".02" pos="0 0 .1" mass=".05"/></body></body>
+  </worldbody>
+  <tendon><fixed name="split"{tendon}><joint joint="l" coef="0.5"/><joint joint="r" coef="-1.5"/></fixed>
+    <fixed name="other"><joint joint="bend" coef="0.2"/></fixed></tendon>
+  {sections}
+</mujoco>
+"""
+PULL = '<actuator><general tendon="split" gear="2" ctrlrange="-9 9"/></actuator>'
+HOLD = """<actuator><position tendon="split" kp="30" dampratio="0.8" gear="3" ctrlrange="-1 1"/></actuator>"""
+
+# A crank that moves a rocker by a coupler, whose end hangs on the rocker by one point; and a bob on the world.
+FOUR_BARS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <default><geom contype="0" conaffinity="0" type="capsule" size="0.02"/><joint axis="0 1 0" damping="0.1"/></default>
+  <worldbody>
+    <body name="crank" pos="0 0 1"><joint name="crank"/><geom fromto="0 0 0 0 0 .2" mass=".3"/>
+      <body name="coupler" pos="0 0 .2"><joint name="coupler"/><geom fromto="0 0 0 .5 0 .1" mass=".2"/>
+        <body name="tip" pos=".5 0 .1"><geom size=".03" fromto="0 0 0 .1 0 0" mass=".1"/></body></body></body>
+    <body name="rocker" pos=".5 0 1"><joint name="rocker"/><geom fromto="0 0 0 0 0 .3" mass=".4"/></body>
+    <body name="bob" pos="0 1 1"><joint name="bob"/><geom fromto="0 0 0 .3 0 0" mass=".4"/></body>
+  </worldbody>
+  <equality><connect body1="tip" body2="rocker" anchor="0 0 0"/>
+    <connect body1="bob" anchor=".3 0 0" solref="0.1 0.7" solimp="0.5 0.9 0.02"/></equality>
+  <actuator><motor joint="crank" ctrlrange="-9 9"/></actuator>
+</mujoco>
+"""
+
+# A chain of two ball joints off the axes of their bodies: with a spring, dry friction and motors, and with a limit.
+BALLS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <default><geom contype="0" conaffinity="0" type="capsule" size="0.02"/></default>
+  <worldbody>
+    <body pos="0 0 1" euler="0.3 -0.5 0.2"><joint name="neck" type="ball" pos="0.02 0 0.1" damping="0.05" armature="0.01"
+        stiffness="2" frictionloss="0.04"/><geom fromto="0 0 0 0.3 0.1 0" mass="0.5"/>
+      <body pos="0.3 0.1 0" quat="1 0.5 -0.2 0.7"><joint name="tail" type="ball" damping="0.01"{limit}/>
+        <geom fromto="0 0 0 0 0.2 0.1" mass="0.2"/>
+        <body pos="0 0.2 0.1"><joint name="tip" axis="0 1 1" damping="0.01"/><geom fromto="0 0 0 0.1 0 0" mass="0.1"/>
+        </body></body></body>
+  </worldbody>
+  <actuator><motor name="turn" joint="neck" gear="0.4 -0.2 0.3" ctrlrange="-9 9"/>
+    <position name="hold" joint="tail" kp="0.4" kv="0.02" gear="0 2 0" ctrlrange="-1 1"/>
+    <position name="lean" joint="tail" kp="0.2" gear="1 0 -1" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+# Two bodies that a weld holds together and one that another holds to the world, all hit by the speeds at the start.
+WELDS = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <default><geom contype="0" conaffinity="0" type="box" size="0.1 0.05 0.03"/></default>
+  <worldbody>
+    <body name="a" pos="0 0 1"><freejoint/><geom mass="1" pos="0.1 0 0"/>
+      <body name="b" pos="0.2 0 0" euler="0 0.5 0"><joint name="j" axis="0 1 0" damping="0.1"/><geom mass="0.3"/>
+        <body name="c" pos="0.1 0 0" euler="0.4 0 0"><geom mass="0.2"/></body></body></body>
+    <body name="d" pos="0.5 0 1" quat="1 0.2 -0.4 0.3"><joint name="k" type="ball"/><geom mass="0.5" pos="0 0.1 0"/></body>
+  </worldbody>
+  <equality><weld body1="c" body2="d" anchor="-0.1 0 0.05" torquescale="0.2" {relpose}/>
+    <weld body1="a" solref="0.05 0.8" solimp="0.5 0.9 0.02"/></equality>
+  <actuator><motor joint="j" ctrlrange="-9 9"/></actuator>
+</mujoco>
+"""
+
+# A tumbling body of several shapes with a fin, in a fluid that flows.
+FLUID = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.002" gravity="0 0 -1" {option}/>
+  <worldbody>
+    <body name="hull" pos="0 0 1"><freejoint name="root"/>
+      <geom type="capsule" fromto="0 0 0 .3 .2 .1" size=".04"/>
+      <body pos=".1 0 0"><geom type="box" size=".1 .02 .05" euler="0.4 0.2 0"/><geom size=".03" pos=".1 .1 0"/></body>
+      <body name="fin" pos="-.1 0 0"><joint name="fin" axis="0 1 1" damping="0.01"/>
+        <geom type="ellipsoid" pos="-.1 0 0" size=".1 .04 .01"/></body></body>
+  </worldbody>
+  <actuator><motor joint="fin" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+# A chain that tumbles, swings into its limits and falls on the floor, with large steps.
+TUMBLE = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.01" integrator="RK4"/>
+  <default><geom type="capsule" size=".04"/></default>
+  <worldbody>
+    <geom type="plane" size="9 9 1"/>
+    <body name="trunk" pos="0 0 .4"><freejoint name="root"/><geom fromto="-.2 0 0 .2 0 0"/>
+      <body name="leg" pos=".2 0 0"><joint name="hip" axis="0 1 1" range="-.4 .4" damping=".2" stiffness="3"/>
+        <geom fromto="0 0 0 .1 0 -.3"/></body></body>
+  </worldbody>
+  <actuator><position joint="hip" kp="20" kv="0.5" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
+
+# Motions: a model, its velocities at the start, constant controls, and physics steps.
+MOTIONS = {
+    "damped flight": (FLIGHT.format(friction="", place="0 0 0"), SPIN, [], 500),
+    "damped flight off centre": (FLIGHT.format(friction="", place="0.1 0 0.05"), SPIN, [], 500),
+    "flight with dry friction": (
+        FLIGHT.format(friction=' frictionloss="0.3"', place="0 0 0"), [1, 0, 0.5, 0, 0, 0], [], 500),
+    "half the weight": (
+        ARM.format(body=' gravcomp="0.5"', joint="", sections=""), [], [], 300),
+    "limit with a margin": (
+        ARM.format(body="", joint=' range="-1 0.2" margin="0.15"', sections=""), [], [], 2000),
+    "equal joints": (
+        FINGERS.format(tendon="", sections=PULL + '<equality><joint joint1="l" joint2="r"/></equality>'),
+        [], [0.6], 500),
+    "a polynomial of a joint": (
+        FINGERS.format(tendon="", sections=PULL + """<equality><joint joint1="bend" joint2="l"
+          polycoef="0.1 2 -3 4 5" solref="0.05 0.8" solimp="0.5 0.9 0.02 0.4 3"/></equality>"""),
+        [], [0.6], 500),
+    "a held joint": (
+        FINGERS.format(tendon="", sections=PULL + '<equality><joint joint1="r" polycoef="0.05"/></equality>'),
+        [], [0.6], 500),
+    "equal tendons": (
+        FINGERS.format(tendon="", sections=PULL + """<equality>
+          <tendon tendon1="split" tendon2="other" polycoef="0.01 0.5 0 0 0"/></equality>"""), [], [0.1], 500),
+    "a tendon with a spring and a limit": (
+        FINGERS.format(tendon=' stiffness="4" damping="0.5" springlength="-0.3" range="-0.6 -0.40" margin="0.01"',
+                       sections=PULL), [], [0.7], 500),
+    "a tendon with dry friction": (
+        FINGERS.format(tendon=' frictionloss="0.4"', sections=PULL), [], [0.6], 500),
+    "a servo of a tendon": (FINGERS.format(tendon="", sections=HOLD), [], [-0.9], 500),
+    "a body in a fluid": (FLUID.format(option='density="900" viscosity="0.3" wind="1 -2 0.5"'),
+                          [0.5, 0, 1, 2, -3, 4, 5], [0.05], 300),
+    "a body in honey": (FLUID.format(option='viscosity="8"'), [0.5, 0, 1, 2, -3, 4, 5], [0.05], 300),
+    "a step of Runge and Kutta": (TUMBLE, [0.3, 0.2, 0, 4, -3, 5, 2], [0.9], 40),
+    "four bars": (FOUR_BARS, [], [0.3], 350),
+    "ball joints": (BALLS.format(limit=""), [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "a limit of a ball joint": (
+        BALLS.format(limit=' range="0 0.4" margin="0.05" solreflimit="0.05 0.9"'),
+        [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "welds": (WELDS.format(relpose=""), [*SPIN, 2, 3, -2, 1], [0.5], 300),
+    "a weld in another pose": (
+        WELDS.format(relpose='relpose="0.3 0.02 0.1 1 0.1 -0.3 0.2" solref="0.1 1"'), [*SPIN, 2, 3, -2, 1], [0.5], 300),
+    "activations": (
+        ARM.format(body="", joint="", sections="""<actuator>
+          <position joint="j1" kp="20" timeconst="0.1" ctrlrange="-1 1"/>
+          <general joint="j1" dyntype="filter" dynprm="0.05" gainprm="3" ctrlrange="-1 1"/>
+          <general joint="j2" dyntype="integrator" actrange="-0.2 0.1" actearly="true" gainprm="10" biastype="affine"
+            biasprm="0 -10 -0.5" ctrlrange="-1 1"/></actuator>"""), [], [0.5, -0.3, 0.8], 300),
+    "joints with a spring and damper": (
+        BALLS.format(limit=' springdamper="0.2 0.3"').replace('axis="0 1 1"', 'axis="0 1 1" springdamper="0.5 0.7"'),
+        [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "two actuators": (
+        ARM.format(body="", joint="", sections="""<actuator>
+          <position joint="j1" kp="20" ctrlrange="-1 1"/><velocity joint="j1" kv="1" ctrlrange="-1 1"/>
+          <motor joint="j2" ctrlrange="-1 1"/></actuator>"""), [], [0.5, -0.3, 0.4], 300),
+}
