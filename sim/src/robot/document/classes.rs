@@ -9,6 +9,8 @@ use crate::spelling;
 /// Actuators share one default, whatever their tag.
 const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
 const MAIN: &str = "main";
+/// Most bytes of the attributes of a default, which all elements of its class have.
+const MOST_BYTES: usize = 4096;
 /// Elements with defaults.
 const DEFAULTS: [&str; 19] = [
     "mesh",
@@ -72,7 +74,14 @@ impl Classes {
             }
             let slot = slot(&child.tag);
             let base = class.entry(slot.to_owned());
-            base.or_insert_with(|| Element::merged(slot, iter::empty())).overlay(child);
+            let merged = base.or_insert_with(|| Element::merged(slot, iter::empty()));
+            merged.overlay(child);
+            let sizes = merged.attributes.iter().map(|(name, value)| name.len() + value.len());
+            if sizes.sum::<usize>() > MOST_BYTES {
+                let reason =
+                    format!("its attributes have more than {MOST_BYTES} bytes; shorten them");
+                return Err(child.refuse(reason));
+            }
         }
         for child in default.all("default") {
             let name =

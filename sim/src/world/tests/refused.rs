@@ -142,6 +142,15 @@ fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
 }
 
 #[test]
+fn attributes_of_a_default_are_refused_before_every_element_copies_them() {
+    let name = "m".repeat(5000);
+    let mjcf = document(LOPSIDED, "")
+        .replace("<mujoco>", &format!("<mujoco><default><geom mesh=\"{name}\"/></default>"));
+    let reason = "<geom>: its attributes have more than 4096 bytes; shorten them";
+    assert_refused(&[(mjcf, reason)]);
+}
+
+#[test]
 fn refused_actuators_and_sections_are_named_with_their_lines() {
     assert_refused(&[
         (
