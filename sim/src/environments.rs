@@ -292,12 +292,12 @@ impl RobotEnvironments {
         let environment = &mut self.environments[index];
         for ((driven, asked), &number) in self.motors.iter().zip(&mut self.asked).zip(action) {
             *asked = driven.scale.apply(number);
-            self.controls[driven.motor] = *asked;
+            self.controls[driven.motor] = driven.limited(*asked);
         }
         if let Some(back) = environment.drawn.action_delay.checked_sub(1) {
             let delayed = &environment.now.actions[back as usize * self.asked.len()..];
             for (driven, &asked) in self.motors.iter().zip(delayed) {
-                self.controls[driven.motor] = asked;
+                self.controls[driven.motor] = driven.limited(asked);
             }
         }
         let position = &mut environment.now.position;

@@ -13,8 +13,14 @@ pub fn nearest_by<'a>(
     candidates: impl IntoIterator<Item = &'a str>,
     distance: impl Fn(&str, &str) -> usize,
 ) -> Option<&'a str> {
-    let ranked = candidates.into_iter().map(|candidate| (distance(word, candidate), candidate));
-    let similar = ranked.filter(|(errors, _)| *errors <= most_errors(word));
+    // Of long words and of words of other lengths, the distance is known to be large, or slow to compute.
+    let letters = word.chars().count();
+    let is_close = |candidate: &&str| {
+        letters <= LONGEST && candidate.chars().count().abs_diff(letters) <= most_errors(letters)
+    };
+    let candidates = candidates.into_iter().filter(is_close);
+    let ranked = candidates.map(|candidate| (distance(word, candidate), candidate));
+    let similar = ranked.filter(|(errors, _)| *errors <= most_errors(letters));
     similar.min_by_key(|(errors, _)| *errors).map(|(_, candidate)| candidate)
 }
 
@@ -36,9 +42,12 @@ pub(crate) fn choice<'a>(word: &str, candidates: impl IntoIterator<Item = &'a st
     }
 }
 
+/// Longest word that is compared with others, in letters.
+const LONGEST: usize = 100;
+
 /// Errors in a word of this length with which it is still recognisable: one in four letters, at most three.
-fn most_errors(word: &str) -> usize {
-    match word.chars().count() {
+fn most_errors(letters: usize) -> usize {
+    match letters {
         0..=2 => 0,
         letters => (letters / 4).clamp(1, 3),
     }

@@ -151,7 +151,7 @@ fn one_document(folder: &Path, document: &str) -> Result<String, String> {
         0..=MODEL_BYTES => Ok(text),
         size => Err(format!(
             "the model {document} has {size} bytes as one document, at most {MODEL_BYTES} travel with a run: remove what it \
-             does not need, and use meshes with fewer corners for contacts"
+             does not need, and use meshes with fewer corners and height fields with fewer heights"
         )),
     }
 }

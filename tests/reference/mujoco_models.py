@@ -214,7 +214,7 @@ def links(model, data, with_base=False):
 
 def joints(model, data):
     for index in range(model.njnt):
-        if model.jnt_type[index] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        if mujoco.mjtJoint(model.jnt_type[index]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             yield {
                 "name": model.joint(index).name,
                 "anchor": data.xanchor[index].tolist(),

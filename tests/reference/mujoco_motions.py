@@ -154,6 +154,9 @@ MOTIONS = {
     "a tendon with a spring and a limit": (
         FINGERS.format(tendon=' stiffness="4" damping="0.5" springlength="-0.3" range="-0.6 -0.40" margin="0.01"',
                        sections=PULL), [], [0.7], 500),
+    "a tendon on a joint whose motors have a limit": (
+        FINGERS.format(tendon=' stiffness="4" springlength="-0.9"', sections=PULL).replace(
+            "<joint ", '<joint actuatorfrcrange="-0.2 0.2" ', 1), [], [0.7], 500),
     "a tendon with dry friction": (
         FINGERS.format(tendon=' frictionloss="0.4"', sections=PULL), [], [0.6], 500),
     "a servo of a tendon": (FINGERS.format(tendon="", sections=HOLD), [], [-0.9], 500),

@@ -98,13 +98,15 @@ def difference(model, one, other):
     """Largest difference of a coordinate, that of orientations as an angle."""
     off = np.abs(np.asarray(one) - other)
     for kind, first in zip(model.jnt_type, model.jnt_qposadr):
-        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-            first += 3 if kind == mujoco.mjtJoint.mjJNT_FREE else 0
+        joint = mujoco.mjtJoint(kind)
+        if joint in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            first += 3 if joint == mujoco.mjtJoint.mjJNT_FREE else 0
             turns = slice(first, first + 4)
             both = [np.asarray(q[turns]) / np.linalg.norm(q[turns]) for q in (one, other)]
             off[turns] = 0.0
-            off[first] = 2 * np.arcsin(min(1.0, np.linalg.norm(both[0] - both[1]) / 2))
-            off[first] = min(off[first], 2 * np.pi - off[first])
+            # Of a quaternion and its negative, which are the same rotation, the nearer one.
+            apart = min(np.linalg.norm(both[0] - both[1]), np.linalg.norm(both[0] + both[1]))
+            off[first] = 4 * np.arcsin(apart / 2)
     return off.max()
 
 

@@ -77,6 +77,11 @@ pub(super) struct Driven {
 }
 
 impl Driven {
+    /// The control of an action within -1 to 1 that is nearest to `control`.
+    pub(super) fn limited(&self, control: f32) -> f32 {
+        control.clamp(self.range[0], self.range[1])
+    }
+
     /// Motors of all agents, in agent order, `[A]`.
     pub(super) fn all(task: &Task) -> Vec<Self> {
         let driven = |&motor: &usize| {

@@ -86,7 +86,8 @@ impl Element {
         let place = self.place.as_ref().map_or(String::new(), |place| format!("{place}, "));
         let named = ["name", "file", "class", "joint"];
         let name = named.iter().find_map(|key| Some((key, self.attributes.get(*key)?)));
-        let name = name.map_or(String::new(), |(key, value)| format!(" {key}=\"{value}\""));
+        let name =
+            name.map_or(String::new(), |(key, value)| format!(" {key}=\"{}\"", start(value)));
         format!("{place}<{}{name}>", self.tag)
     }
 
@@ -142,7 +143,7 @@ impl Element {
     ) -> String {
         let name = self.text(attribute).unwrap_or_default();
         let hint = spelling::choice(name, known);
-        self.refuse_for(attribute, format!("no {kind} has the name `{name}`; {hint}"))
+        self.refuse_for(attribute, format!("no {kind} has the name `{}`; {hint}", start(name)))
     }
 
     /// Children with this tag.
@@ -172,7 +173,7 @@ impl Element {
         let numbers = match numbers {
             Ok(numbers) if !numbers.is_empty() && numbers.iter().all(|x| x.is_finite()) => numbers,
             _ => {
-                let reason = format!("{name}=\"{text}\" must be finite numbers");
+                let reason = format!("{name}=\"{}\" must be finite numbers", start(text));
                 return Err(self.refuse_for(name, reason));
             }
         };
@@ -218,7 +219,7 @@ impl Element {
     pub(super) fn integer(&self, name: &str, default: i64) -> Result<i64, String> {
         let Some(text) = self.text(name) else { return Ok(default) };
         let number = text.trim().parse();
-        let reason = |_| format!("{name}=\"{text}\" must be a whole number");
+        let reason = |_| format!("{name}=\"{}\" must be a whole number", start(text));
         number.map_err(|error| self.refuse_for(name, reason(error)))
     }
 
@@ -229,7 +230,8 @@ impl Element {
             Some("true" | "1" | "enable") => Ok(Some(true)),
             Some("false" | "0" | "disable") => Ok(Some(false)),
             Some(word) => {
-                Err(self.refuse_for(name, format!("{name}=\"{word}\" must be true or false")))
+                Err(self
+                    .refuse_for(name, format!("{name}=\"{}\" must be true or false", start(word))))
             }
         }
     }
@@ -299,19 +301,24 @@ fn read(
 /// Refuses prefixes, which could give an element two attributes of one name, and text with words, such as a tag without
 /// its `<`.
 fn check_plain(node: Node<'_, '_>, element: &Element) -> Result<(), String> {
-    let root = node.document().root_element().tag_name();
+    let outside = node.parent_element().map_or(node, |parent| parent).tag_name().namespace();
     let prefixed = node.attributes().find(|attribute| attribute.namespace().is_some());
-    if prefixed.is_some() || node.tag_name().namespace() != root.namespace() {
+    if prefixed.is_some() || node.tag_name().namespace() != outside {
         return Err(element.refuse("names with a prefix are not supported; remove it"));
     }
     let texts = node.children().filter_map(|child| child.text().filter(|_| child.is_text()));
     match texts.map(str::trim).find(|text| text.contains(char::is_alphanumeric)) {
         None => Ok(()),
         Some(text) => {
-            let start: String = text.chars().take(40).collect();
-            Err(element.refuse(format!("text between elements has no meaning, remove it: {start}")))
+            let reason = "text between elements has no meaning, remove it";
+            Err(element.refuse(format!("{reason}: {}", start(text))))
         }
     }
+}
+
+/// The start of a text, for a message.
+fn start(text: &str) -> &str {
+    text.char_indices().nth(40).map_or(text, |(end, _)| &text[..end])
 }
 
 /// Parses XML that is not nested so deeply that the parser's stack would overflow.

@@ -174,15 +174,18 @@ impl Layout {
         &self.joints[self.root]
     }
 
-    /// Refuses two coordinates of the same name.
+    /// Refuses two coordinates or two velocities of the same name.
     pub(super) fn check_names(&self) -> Result<(), String> {
-        let mut names = BTreeSet::new();
-        match self.coordinate_names.iter().find(|name| !names.insert(*name)) {
-            None => Ok(()),
-            Some(name) => Err(format!(
-                "two coordinates have the name `{name}`, which follows from those of joints and bodies; rename one"
-            )),
+        let kinds = [("coordinates", &self.coordinate_names), ("velocities", &self.velocity_names)];
+        for (kind, all) in kinds {
+            let mut names = BTreeSet::new();
+            if let Some(name) = all.iter().find(|name| !names.insert(*name)) {
+                return Err(format!(
+                    "two {kind} have the name `{name}`, which follows from those of joints and bodies; rename one"
+                ));
+            }
         }
+        Ok(())
     }
 
     /// First coordinates of all unit quaternions.

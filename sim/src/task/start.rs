@@ -54,16 +54,18 @@ impl Start {
             let index = names.index("start.coordinates", name)?;
             start.coordinates.push((index, value - robot.reference()[index]));
         }
-        if let Some((index, speed)) =
-            start.speeds.iter().find(|(_, speed)| speed.abs() > bounds.fastest)
-        {
+        let reach = farthest("start.velocities", start.velocities, bounds.fastest)?;
+        let slowest = bounds.fastest - reach;
+        if let Some((index, speed)) = start.speeds.iter().find(|(_, speed)| speed.abs() > slowest) {
             let name = &robot.velocity_names()[*index];
-            return Err(refused(format!("start.keyframe: the speed of `{name}` is {speed}")));
+            let most = format!("at most {slowest} with the noise of start.velocities");
+            return Err(refused(format!(
+                "start.keyframe: the speed of `{name}` is {speed}, {most}"
+            )));
         }
         for (activation, [low, high]) in start.activations.iter().zip(&bounds.activations) {
             within("start.keyframe (an activation)", *activation, *low, *high)?;
         }
-        farthest("start.velocities", start.velocities, bounds.fastest)?;
         let mut pose = robot.rest().to_vec();
         start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
         for first in &bounds.orientations {
@@ -156,14 +158,24 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     }
     let single = |list: &[f64]| list.iter().map(|number| *number as f32).collect::<Vec<_>>();
     let mut speeds = single(velocities);
-    let pose = if positions.is_empty() { robot.rest().to_vec() } else { single(positions) };
+    let mut positions = positions.clone();
+    if !positions.is_empty() {
+        for orientation in &robot.layout().orientations {
+            let quaternion = &mut positions[orientation.coordinate..][..4];
+            let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
+            if length > 0.0 {
+                quaternion.iter_mut().for_each(|q| *q /= length);
+            }
+        }
+    }
+    let pose = if positions.is_empty() { robot.rest().to_vec() } else { single(&positions) };
     // MuJoCo has the angular velocity of a free joint in the axes of its body.
     for orientation in robot.layout().orientations.iter().filter(|_| !velocities.is_empty()) {
         let turning = &mut speeds[orientation.velocity..][..3];
         let rotation = orientation.rotation(&pose);
         turning.copy_from_slice(&(rotation * Vector::from_slice(turning)).to_array());
     }
-    let positions = single(positions).into_iter().zip(robot.reference()).map(|(at, by)| at - by);
+    let positions = single(&positions).into_iter().zip(robot.reference()).map(|(at, by)| at - by);
     Ok(Start {
         coordinates: positions.enumerate().collect(),
         speeds: speeds.into_iter().enumerate().collect(),

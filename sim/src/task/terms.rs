@@ -60,7 +60,7 @@ pub(super) fn forward_speed(step: &Transition<'_>, coordinate: usize) -> f32 {
     (step.after.position(coordinate) - step.before.position(coordinate)) / step.dt_secs
 }
 
-/// `(x' - x) / dt` of the robot's mass centre, m/s, as in MuJoCo's Humanoid.
+/// `(x' - x) / dt` of the mass centre of everything that moves, m/s, as in MuJoCo's Humanoid.
 pub(super) fn mass_centre_speed(step: &Transition<'_>) -> f32 {
     let [before, after] = step.mass_centre;
     (after - before) / step.dt_secs

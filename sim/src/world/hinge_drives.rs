@@ -219,14 +219,6 @@ impl HingeDrives {
                 drives[*hinge].torque += factor * (motor.gear * limited);
             }
         }
-        for tendon in tendons {
-            let length = tendon.moved.sum(|hinge| drives[hinge].angle);
-            let speed = tendon.moved.sum(|hinge| drives[hinge].speed);
-            let force = tendon.passive_force(length, speed);
-            for (hinge, factor) in tendon.moved.0.iter() {
-                drives[*hinge].torque += factor * force;
-            }
-        }
         for (drive, hinge) in drives.iter_mut().zip(hinges) {
             if let Some([low, high]) = hinge.plan.torque_range
                 && (drive.torque < low || drive.torque > high)
@@ -234,6 +226,14 @@ impl HingeDrives {
                 (drive.torque, drive.damping) = (drive.torque.clamp(low, high), 0.0);
             }
             drive.damping = drive.damping.max(0.0);
+        }
+        for tendon in tendons {
+            let length = tendon.moved.sum(|hinge| drives[hinge].angle);
+            let speed = tendon.moved.sum(|hinge| drives[hinge].speed);
+            let force = tendon.passive_force(length, speed);
+            for (hinge, factor) in tendon.moved.0.iter() {
+                drives[*hinge].torque += factor * force;
+            }
         }
     }
 

@@ -140,6 +140,18 @@ fn an_ants_start_has_a_unit_quaternion_and_angular_velocity_in_its_own_axes() {
 }
 
 #[test]
+fn an_action_beyond_one_acts_on_the_world_as_one_also_around_the_start() {
+    let reached = |action: f32| {
+        let mut world = with("quadruped-4x3", &serde_json::json!({}));
+        world.reset(0, 0, 500, [5; 32]).unwrap();
+        step(&mut *world, &[action; 12]);
+        coordinates(world.world(0).unwrap())
+    };
+    assert_eq!(reached(3.0), reached(1.0));
+    assert_ne!(reached(0.9), reached(1.0));
+}
+
+#[test]
 fn a_quadruped_holds_its_stand_and_observes_its_velocities_in_its_own_axes() {
     let mut world = with("quadruped-4x3", &serde_json::json!({}));
     world.reset(0, 0, 500, [5; 32]).unwrap();

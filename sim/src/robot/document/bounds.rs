@@ -40,7 +40,7 @@ const ALL: [Bounds; 22] = [
     row(&["impratio"], [1e-6, 1e6]),
     row(&["relpose", "torquescale"], [-1e4, 1e4]),
     Bounds { smallest: 1e-6, ..row(&["springdamper", "timeconst"], [0.0, 1e6]) },
-    row(&["gravcomp"], [-1e3, 1e3]),
+    row(&["gravcomp"], [0.0, 1e3]),
     Bounds { smallest: 1e-9, ..row(&["gear", "coef", "kp", "kv"], [-LARGEST, LARGEST]) },
 ];
 

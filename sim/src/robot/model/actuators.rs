@@ -48,7 +48,7 @@ const GENERAL: [&str; 9] = [
 const MOST_PARAMETERS: usize = 10;
 
 /// Largest control that a range of a joint or a force implies.
-const LARGEST_CONTROL: f64 = 1e15;
+const LARGEST_CONTROL: f64 = 1e9;
 
 /// A joint or tendon that an actuator moves.
 struct Driven {

@@ -1,6 +1,7 @@
 //! What of a model cannot be built, collected over the whole document, so that one message names everything.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 
 use super::super::document::Element;
 
@@ -9,7 +10,15 @@ const MOST_SHOWN: usize = 20;
 
 /// Reasons why a model cannot be built.
 #[derive(Debug, Default)]
-pub(super) struct Blockers(RefCell<Vec<String>>);
+pub(super) struct Blockers(RefCell<Reasons>);
+
+#[derive(Debug, Default)]
+struct Reasons {
+    /// The first of them, in their order.
+    shown: Vec<String>,
+    /// What tells all apart: the reason, or the default that causes it.
+    causes: BTreeSet<String>,
+}
 
 impl Blockers {
     /// Notes a reason; an empty one follows from another.
@@ -17,16 +26,11 @@ impl Blockers {
         if reason.is_empty() {
             return;
         }
-        let mut reasons = self.0.borrow_mut();
         // A default that cannot be built is one reason, however many elements it applies to.
-        let cause = |reason: &str| {
-            reason.split_once("; it is the default of").map(|(cause, _)| cause.to_owned())
-        };
-        let is_known = |known: &String| {
-            *known == reason || cause(known).is_some_and(|known| Some(known) == cause(&reason))
-        };
-        if !reasons.iter().any(is_known) {
-            reasons.push(reason);
+        let cause = reason.split("; it is the default of").next().unwrap_or_default();
+        let mut reasons = self.0.borrow_mut();
+        if reasons.causes.insert(cause.to_owned()) && reasons.shown.len() < MOST_SHOWN {
+            reasons.shown.push(reason);
         }
     }
 
@@ -42,13 +46,13 @@ impl Blockers {
 
     /// Whether nothing was noted. What follows from a missing part is not worth a message.
     pub(super) fn is_empty(&self) -> bool {
-        self.0.borrow().is_empty()
+        self.0.borrow().causes.is_empty()
     }
 
     /// All reasons as one error, each in a line if there are several.
     pub(super) fn finish(&self) -> Result<(), String> {
         let reasons = self.0.borrow();
-        if reasons.is_empty() { Ok(()) } else { Err(listed(&reasons)) }
+        if reasons.causes.is_empty() { Ok(()) } else { Err(listed(&reasons)) }
     }
 
     /// All reasons and this one as an error.
@@ -58,13 +62,13 @@ impl Blockers {
     }
 }
 
-fn listed(reasons: &[String]) -> String {
-    if let [reason] = reasons {
+fn listed(reasons: &Reasons) -> String {
+    if let ([reason], 1) = (reasons.shown.as_slice(), reasons.causes.len()) {
         return reason.clone();
     }
-    let mut text = format!("{} things are not supported", reasons.len());
-    reasons.iter().take(MOST_SHOWN).for_each(|reason| text += &format!("\n  {reason}"));
-    match reasons.len().saturating_sub(MOST_SHOWN) {
+    let mut text = format!("{} things are not supported", reasons.causes.len());
+    reasons.shown.iter().for_each(|reason| text += &format!("\n  {reason}"));
+    match reasons.causes.len() - reasons.shown.len() {
         0 => text,
         more => text + &format!("\n  and {more} more"),
     }

@@ -18,6 +18,8 @@ const SKIPPED: [&str; 3] = ["site", "camera", "light"];
 const MOST_VELOCITIES: usize = 300;
 /// Most shapes of a model; the costs of its reading grow with their square.
 const MOST_SHAPES: usize = 5000;
+/// Most shapes that are height fields, of which each has its own heights.
+const MOST_FIELDS: usize = 8;
 
 /// A body of the model.
 pub(super) struct Body {
@@ -228,6 +230,7 @@ pub(super) fn take_grounds(
     }
     let moving: Vec<Surface> = moving.map(|geom| geom.surface).collect();
     let (mut grounds, mut frames) = (Vec::new(), Vec::new());
+    let mut fields = 0;
     for (index, body) in bodies.iter_mut().enumerate() {
         let parent = if index == 0 { IDENTITY } else { frames[body.parent] };
         frames.push(if index == 0 { IDENTITY } else { parent.then(&body.frame) });
@@ -240,6 +243,12 @@ pub(super) fn take_grounds(
         for geom in taken.iter().filter(|_| has_contacts).filter(touched) {
             let ground = geom.ground((&frames[index], index), &mut *context, folder);
             grounds.extend(context.blockers.keep(ground));
+            fields += usize::from(geom.is_field());
+            if fields > MOST_FIELDS {
+                let reason = format!("a world may have {MOST_FIELDS} height fields; remove others");
+                context.blockers.note(geom.element.refuse(reason));
+                return grounds;
+            }
         }
     }
     grounds

@@ -16,7 +16,7 @@ use crate::scene::Shape;
 
 const KNOWN: [&str; 10] =
     ["name", "class", "type", "size", "pos", "fromto", "mass", "density", "mesh", "shellinertia"];
-/// Attributes without effect on the motion; `hfield` belongs to a type that is refused.
+/// Attributes without effect on the motion of most shapes.
 const SKIPPED: [&str; 9] =
     ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale", "gap"];
 /// Largest size of a shape that is fitted to a mesh, m.
@@ -94,6 +94,10 @@ impl Geom {
 
     pub(super) fn is_plane(&self) -> bool {
         self.kind() == "plane"
+    }
+
+    pub(super) fn is_field(&self) -> bool {
+        self.kind() == "hfield"
     }
 
     fn kind(&self) -> &str {

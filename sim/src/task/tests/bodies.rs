@@ -109,7 +109,7 @@ fn terms_of_bodies_have_their_formulas() {
     let spread = (4.0225_f32.sqrt() + 1.0325_f32.sqrt() + 9.01_f32.sqrt()) / 3.0;
     for (term, expected) in [
         ("term = \"distance\"\nof = \"ball\"\nto = [1.0, 0.0, 0.5]\nalong = [\"x\", \"y\"]", 0.15),
-        ("term = \"distance\"\nof = \"ball\"\nto = [1, 0, 0.1]\nsigma = 0.15", (-1.0_f32).exp()),
+        ("term = \"distance\"\nof = \"ball\"\nto = [1, 0, 0.1]\nsigma = 0.15", libm::expf(-1.0)),
         ("term = \"distance\"\nof = \"ball\"\nto = \"goal\"", 4.0225_f32.sqrt()),
         ("term = \"approach\"\nof = \"ball\"\nto = \"goal\"\nalong = [\"y\"]", -3.0),
         ("term = \"progress\"\nof = \"ball\"\nalong = [\"y\"]", 3.0),

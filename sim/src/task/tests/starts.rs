@@ -46,18 +46,20 @@ fn an_episode_starts_from_a_keyframe_in_the_models_own_coordinates() {
         let value = feature(&*world, name);
         assert!((value - stated).abs() <= 0.005 && value != stated, "{name}: {value}");
     }
-    let wrong = |name: &str| {
+    let wrong = |name: &str, keys: &str| {
         let file = changed("[start]\n", &format!("[start]\nkeyframe = \"{name}\"\n"));
         let mut config = config(&file, ObservationMode::FullId);
         let model = &mut config.definition.as_mut().unwrap().model;
-        let keys = "<keyframe><key name=\"home\" qpos=\"0 0\"/></keyframe></mujoco>";
-        *model = model.replace("</mujoco>", keys);
+        *model = model.replace("</mujoco>", &format!("<keyframe>{keys}</keyframe></mujoco>"));
         environments(&config, 1).map(drop).map_err(|error| error.to_string())
     };
-    let lost = wrong("hom").unwrap_err();
+    let short = "<key name=\"home\" qpos=\"0 0\"/>";
+    let lost = wrong("hom", short).unwrap_err();
     assert!(lost.contains("no keyframe `hom`; did you mean `home`?; it has home"), "{lost}");
-    let short = wrong("home").unwrap_err();
+    let short = wrong("home", short).unwrap_err();
     assert!(short.contains("`qpos` has 2 numbers, the robot has 5"), "{short}");
+    let fast = wrong("home", "<key name=\"home\" qvel=\"0 0 0 0 1000\"/>").unwrap_err();
+    assert!(fast.contains("start.keyframe: the speed of `knee` is 1000, at most 999.9"), "{fast}");
 }
 
 #[test]

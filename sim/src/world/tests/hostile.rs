@@ -162,6 +162,14 @@ fn a_name_that_is_taken_or_unknown_is_refused_with_what_to_write() {
             "two coordinates have the name `root.x`",
         ),
         (
+            EVERYTHING.replace("name=\"k\"", "name=\"root.wx\"").replace("\"k\"", "\"root.wx\""),
+            "two velocities have the name `root.wx`",
+        ),
+        (
+            EVERYTHING.replace("name=\"root\"", "name=\"root\" align=\"true\""),
+            "<freejoint name=\"root\">: `align` must be false or auto",
+        ),
+        (
             EVERYTHING.replace("inertiagrouprange=\"0 5\"", "inertiagrouprange=\"5 2\""),
             "`inertiagrouprange` must ascend",
         ),

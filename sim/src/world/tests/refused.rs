@@ -151,7 +151,28 @@ fn attributes_of_a_default_are_refused_before_every_element_copies_them() {
 }
 
 #[test]
-fn refused_actuators_and_sections_are_named_with_their_lines() {
+fn long_names_are_cut_in_messages_and_not_compared_letter_by_letter() {
+    let name = "n".repeat(60_000);
+    let known = format!("<body><joint name=\"{name}x\"/><geom size=\"1\"/></body>");
+    let mjcf = document(&known, &format!("<motor joint=\"{name}\" ctrlrange=\"-1 1\"/>"));
+    let reason = robot(&mjcf).err().unwrap();
+    assert!(reason.contains("no hinge, slide or ball joint") && reason.len() < 100_000, "{reason}");
+    let sizes = bodies(&format!("<geom size=\"{}x\"/>", "1 ".repeat(60_000)));
+    let reason = robot(&sizes).err().unwrap();
+    assert!(reason.contains("must be finite numbers") && reason.len() < 200, "{reason}");
+}
+
+#[test]
+fn more_height_fields_than_a_world_may_have_are_refused_before_their_memory_is_taken() {
+    let grounds = "<geom type=\"hfield\" hfield=\"h\"/>\n".repeat(9);
+    let asset =
+        "<mujoco><asset><hfield name=\"h\" nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\"/></asset>";
+    let mjcf = document(&format!("{grounds}{LOPSIDED}"), "").replace("<mujoco>", asset);
+    assert_refused(&[(mjcf, "<geom>: a world may have 8 height fields; remove others")]);
+}
+
+#[test]
+fn refused_actuators_are_named_with_their_lines() {
     assert_refused(&[
         (
             actuator("<motor joint=\"lost\" ctrlrange=\"-1 1\"/>"),
@@ -178,6 +199,12 @@ fn refused_actuators_and_sections_are_named_with_their_lines() {
             actuator("<position joint=\"j\" dampratio=\"1\" kv=\"1\" ctrlrange=\"0 1\"/>"),
             "line 6, <position joint=\"j\">: `dampratio` must not be stated with `kv`",
         ),
+    ]);
+}
+
+#[test]
+fn refused_sections_are_named_with_their_lines() {
+    assert_refused(&[
         (
             section("<equality>\n<flex body1=\"b\"/></equality>"),
             "line 6, <flex>: only equalities of joints, of fixed tendons, `connect` and `weld`",
