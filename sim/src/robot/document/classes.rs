@@ -8,6 +8,19 @@ use crate::spelling;
 
 /// Actuators share one default, whatever their tag.
 const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
+/// Attributes of the gain and the bias, of which each kind of actuator states others. Those of a motor are fixed.
+const LAWS: [&str; 10] = [
+    "kp",
+    "kv",
+    "dampratio",
+    "timeconst",
+    "gainprm",
+    "biasprm",
+    "dynprm",
+    "dyntype",
+    "biastype",
+    "gaintype",
+];
 const MAIN: &str = "main";
 /// Most bytes of the attributes of a default, which all elements of its class have.
 const MOST_BYTES: usize = 4096;
@@ -76,6 +89,9 @@ impl Classes {
             let base = class.entry(slot.to_owned());
             let merged = base.or_insert_with(|| Element::merged(slot, iter::empty()));
             merged.overlay(child);
+            if LAWS.iter().any(|name| child.attributes.contains_key(*name)) {
+                merged.tag.clone_from(&child.tag);
+            }
             let sizes = merged.attributes.iter().map(|(name, value)| name.len() + value.len());
             if sizes.sum::<usize>() > MOST_BYTES {
                 let reason =
@@ -124,6 +140,15 @@ impl Classes {
         })?;
         let mut resolved = element.with(BTreeMap::new());
         if let Some(defaults) = class.get(slot) {
+            // MuJoCo translates the default into gains, and the actuator starts from those.
+            let is_translated = defaults.tag != slot && defaults.tag != element.tag;
+            if is_translated && element.tag != "motor" {
+                let reason = format!(
+                    "the gains of its class `{name}` are those of a <{}>; give it another class and state its own",
+                    defaults.tag
+                );
+                return Err(element.refuse(reason));
+            }
             resolved.overlay(defaults);
         }
         resolved.overlay(element);

@@ -136,6 +136,7 @@ impl<'a> Links<'a> {
         let inertial = context.blockers.keep(inertial).flatten();
         let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
         let has_contacts = body.geoms.iter().any(Geom::collides);
+        let only_weight = body.geoms.iter().filter(|geom| geom.weighs()).count() == 1;
         let mut axes = None;
         let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {
@@ -146,8 +147,9 @@ impl<'a> Links<'a> {
             }
             let shape = geom.shape(&mut context.meshes, folder);
             let Some((shape, pose)) = context.blockers.keep(shape) else { continue };
-            let is_alone = weighs && body.geoms.len() == 1 && !geom.is_mesh();
-            axes = is_alone.then(|| frame.rotation * geom.axes(&pose));
+            if weighs && only_weight && !geom.is_mesh() {
+                axes = Some(frame.rotation * geom.axes(&pose));
+            }
             let pose = *frame * pose;
             let solid = weighs.then(|| geom.solid(&shape, &pose, &context.meshes));
             solids.extend(solid.and_then(|solid| context.blockers.keep(solid)));

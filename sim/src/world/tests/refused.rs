@@ -186,6 +186,11 @@ fn refused_actuators_are_named_with_their_lines() {
             actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
             "line 6, <motor>: no fixed tendon has the name `t`; there is none",
         ),
+        (
+            actuator("<velocity joint=\"j\" ctrlrange=\"-1 1\"/>")
+                .replace("<mujoco>", "<mujoco><default><position kp=\"50\"/></default>"),
+            "<velocity joint=\"j\">: the gains of its class `main` are those of a <position>",
+        ),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
             actuator("<general joint=\"j\" dyntype=\"muscle\" ctrlrange=\"0 1\"/>"),
