@@ -4,7 +4,12 @@ use std::collections::BTreeSet;
 
 /// The candidate most similar to `word`, if it is a few typing errors away at most.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    nearest_by(word, candidates, strsim::osa_distance)
+    // Of long words and of words of other lengths, the distance is slow to compute, or known to be large.
+    let letters = word.chars().count();
+    let is_close = |candidate: &&str| {
+        letters <= LONGEST && candidate.chars().count().abs_diff(letters) <= most_errors(word)
+    };
+    nearest_by(word, candidates.into_iter().filter(is_close), strsim::osa_distance)
 }
 
 /// As [`nearest`], where `distance` counts the typing errors between the word and a candidate.
@@ -13,14 +18,8 @@ pub fn nearest_by<'a>(
     candidates: impl IntoIterator<Item = &'a str>,
     distance: impl Fn(&str, &str) -> usize,
 ) -> Option<&'a str> {
-    // Of long words and of words of other lengths, the distance is known to be large, or slow to compute.
-    let letters = word.chars().count();
-    let is_close = |candidate: &&str| {
-        letters <= LONGEST && candidate.chars().count().abs_diff(letters) <= most_errors(letters)
-    };
-    let candidates = candidates.into_iter().filter(is_close);
-    let ranked = candidates.map(|candidate| (distance(word, candidate), candidate));
-    let similar = ranked.filter(|(errors, _)| *errors <= most_errors(letters));
+    let ranked = candidates.into_iter().map(|candidate| (distance(word, candidate), candidate));
+    let similar = ranked.filter(|(errors, _)| *errors <= most_errors(word));
     similar.min_by_key(|(errors, _)| *errors).map(|(_, candidate)| candidate)
 }
 
@@ -46,8 +45,8 @@ pub(crate) fn choice<'a>(word: &str, candidates: impl IntoIterator<Item = &'a st
 const LONGEST: usize = 100;
 
 /// Errors in a word of this length with which it is still recognisable: one in four letters, at most three.
-fn most_errors(letters: usize) -> usize {
-    match letters {
+fn most_errors(word: &str) -> usize {
+    match word.chars().count() {
         0..=2 => 0,
         letters => (letters / 4).clamp(1, 3),
     }
