@@ -10,27 +10,10 @@ import pathlib
 import gymnasium
 import mujoco
 import numpy
+from mujoco_models import links
 
 MODEL = pathlib.Path(gymnasium.__file__).parent / "envs/mujoco/assets/humanoid.xml"
 STEPS = [10, 20, 40]  # environment steps of five physics steps
-FEET = {"right_foot": "right_shin", "left_foot": "left_shin"}
-
-
-def links(model, data):
-    """Mass (kg) and principal moments (kg m^2) of each body with what is welded to it."""
-    parts = {}
-    for index in range(1, model.nbody):
-        name = model.body(index).name
-        parts.setdefault(FEET.get(name, name), []).append(index)
-    for name, bodies in parts.items():
-        mass = model.body_mass[bodies].sum()
-        centre = sum(model.body_mass[b] * data.xipos[b] for b in bodies) / mass
-        inertia = numpy.zeros((3, 3))
-        for body in bodies:
-            turn, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - centre
-            inertia += turn @ numpy.diag(model.body_inertia[body]) @ turn.T
-            inertia += model.body_mass[body] * (arm @ arm * numpy.eye(3) - numpy.outer(arm, arm))
-        yield {"name": name, "mass": mass, "moments": sorted(numpy.linalg.eigvalsh(inertia))}
 
 
 def motion(model, height, controls):
@@ -53,7 +36,7 @@ scales = {"flight": (8.0, 0.1), "passive": (1.4, 0.0), "driven": (1.4, 0.1)}
 record = {
     "source": f"MuJoCo {mujoco.__version__}, Gymnasium {gymnasium.__version__}, humanoid.xml",
     "steps": STEPS,
-    "links": list(links(model, data)),
+    "links": [{key: link[key] for key in ("name", "mass", "moments")} for link in links(model, data)],
     "motions": {name: motion(model, at, rng.uniform(-by, by, model.nu)) for name, (at, by) in scales.items()},
 }
 path = pathlib.Path(__file__).parents[2] / "sim/tests/data/mujoco-humanoid.json"
