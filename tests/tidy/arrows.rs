@@ -24,7 +24,7 @@ const LEARNER_LAYERS: [&str; 5] = ["serve", "train", "lease", "observe", "store"
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 32] = [
+const HEAVY: [(&str, &[&str]); 33] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
     ("indicatif", &[ROOT]),
@@ -38,6 +38,7 @@ const HEAVY: [(&str, &[&str]); 32] = [
     ("candle-nn", &["policy"]),
     ("gemm", &[]),
     ("pulp", &[]),
+    ("pyo3", &["clients/python"]),
     ("rand_chacha", &["policy", "sim"]),
     ("rayon", &["marl", "learner"]),
     ("roxmltree", &["sim"]),

@@ -4,9 +4,10 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// The workspace's library crates, each a folder of the same name.
-pub(crate) const LIBRARIES: [&str; 10] = [
+/// The workspace's crates below the root, each by its folder.
+pub(crate) const LIBRARIES: [&str; 11] = [
     "actor",
+    "clients/python",
     "kernels",
     "learner",
     "marl",
