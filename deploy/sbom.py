@@ -1,6 +1,6 @@
-"""Prints a software bill of materials of the program `s2mia`, as CycloneDX 1.6 JSON: `python3 deploy/sbom.py > s2mia.cdx.json`.
+"""Prints a software bill of materials of the program `s2mia` and its Python module, as CycloneDX 1.6 JSON: `python3 deploy/sbom.py > s2mia.cdx.json`.
 
-It lists every crate that is compiled into the program or runs during its build, with licence and SHA-256, and what needs what. Tests are
+It lists every crate that is compiled into them or runs during its build, with licence and SHA-256, and what needs what. Tests are
 left out. It is made from Cargo.lock and `cargo metadata`, without a network if the crates are there, and has no time or random number in
 it: one commit has one bill.
 """
@@ -21,10 +21,10 @@ def metadata() -> dict:
     return json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout)
 
 
-def needed(nodes: dict[str, dict], root: str) -> dict[str, list[str]]:
-    """What each crate of the program needs, by its id."""
+def needed(nodes: dict[str, dict], roots: list[str]) -> dict[str, list[str]]:
+    """What each crate of the roots needs, by its id."""
     found: dict[str, list[str]] = {}
-    waiting = [root]
+    waiting = list(roots)
     while waiting:
         crate = waiting.pop()
         if crate in found:
@@ -51,8 +51,9 @@ def component(package: dict, checksums: dict) -> dict:
 def bill() -> dict:
     found = metadata()
     packages = {package["id"]: package for package in found["packages"]}
-    (program,) = [package["id"] for package in found["packages"] if package["name"] == "s2mia"]
-    needs = needed({node["id"]: node for node in found["resolve"]["nodes"]}, program)
+    own = {packages[crate]["name"]: crate for crate in found["workspace_members"]}
+    program = own["s2mia"]
+    needs = needed({node["id"]: node for node in found["resolve"]["nodes"]}, [program, own["python"]])
     lock = tomllib.loads((ROOT / "Cargo.lock").read_text())["package"]
     checksums = {(crate["name"], crate["version"]): crate.get("checksum") for crate in lock}
     crates = sorted((packages[crate] for crate in needs if crate != program), key=purl)

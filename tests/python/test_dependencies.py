@@ -68,8 +68,8 @@ def test_the_bill_of_materials_has_every_crate_of_the_program_with_its_hash_and_
     assert made[0] == made[1]
     bill = json.loads(made[0])
     components = {component["name"]: component for component in bill["components"]}
-    own = {"actor", "kernels", "learner", "marl", "policy", "proto", "recording", "rollout", "security", "sim"}
-    assert own | {"tonic", "rustls", "candle-core", "rapier3d"} <= set(components)
+    own = {"actor", "kernels", "learner", "marl", "policy", "proto", "python", "recording", "rollout", "security", "sim"}
+    assert own | {"tonic", "rustls", "candle-core", "rapier3d", "pyo3"} <= set(components)
     assert "proptest" not in components, "crates of tests are not in the program"
     checksums = {(crate["name"], crate["version"]): crate["checksum"] for crate in CRATES}
     for name in set(components) - own:
