@@ -1,0 +1,25 @@
+"""Settings as keywords: `run__seed=1` is `run.seed=1` of the program's command line."""
+
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+
+def arguments(task: str | os.PathLike[str], settings: Mapping[str, Any]) -> list[str]:
+    """A task, which is a name or a task file, and its settings as arguments of the program.
+
+    Raises `ValueError` for a value that is neither a truth value nor a number nor a text.
+    """
+    return [os.fspath(task), *(f"{key.replace('__', '.')}={_text(key, value)}" for key, value in settings.items())]
+
+
+def _text(key: str, value: Any) -> str:
+    """The value in TOML, which the program reads. Numbers of NumPy are numbers, and paths are texts."""
+    plain = value.item() if isinstance(value, np.generic) else value
+    plain = os.fspath(plain) if isinstance(plain, os.PathLike) else plain
+    if not isinstance(plain, bool | int | float | str):
+        raise ValueError(f"{key} is {value!r}; a setting is True or False, a number or a text")
+    return json.dumps(plain, ensure_ascii=False)
