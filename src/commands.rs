@@ -24,24 +24,27 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::builder::{PathBufValueParser, TypedValueParser as _};
-use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use tracing_subscriber::filter::LevelFilter;
 
-use crate::process::output::{CommandKind, LogFormat};
+use crate::process::output::{self, CommandKind, LogFormat};
 use crate::process::shell;
 use crate::run::{BUILD, SettingsArguments};
 
 pub(crate) use refusal::report;
+
+/// Heading of the options that every command has, below its own ones.
+const EVERY_COMMAND: &str = "Options of every command";
 
 /// Trains cooperative robot controllers with HAPPO-S2MIA: a learner and rollout actors communicate over gRPC.
 #[derive(Debug, Parser)]
 #[command(name = "s2mia", version = BUILD, propagate_version = true, max_term_width = 100)]
 pub(crate) struct Arguments {
     /// Log format on stderr.
-    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    #[arg(long, global = true, help_heading = EVERY_COMMAND, value_enum, default_value_t = LogFormat::Text)]
     pub(crate) log_format: LogFormat,
     /// Log filter as in RUST_LOG: a level, or target=level pairs [default: info for learner and actor, else warn].
-    #[arg(long, global = true, value_name = "FILTER")]
+    #[arg(long, global = true, help_heading = EVERY_COMMAND, value_name = "FILTER")]
     pub(crate) log: Option<String>,
     /// Command.
     #[command(subcommand)]
@@ -91,9 +94,12 @@ pub(crate) enum Command {
     /// Check a task file, or write an example of one.
     #[command(subcommand)]
     Task(task::TaskCommand),
-    /// Print the resolved configuration with the origin of each value.
+    /// Print the resolved configuration with the origin of each value, or what a named KEY means.
     #[command(after_help = CONFIG_LAYERS)]
     Config(SettingsArguments),
+    /// Print a script that lets a shell complete commands and options.
+    #[command(after_help = COMPLETIONS)]
+    Completions(CompletionsArguments),
     /// Create certificates for a learner and for each role, signed by a new certificate authority.
     Certs(certs::CertsArguments),
 }
@@ -117,7 +123,29 @@ Later layers override earlier ones:
   configs/presets/PRESET.toml   algorithm.NAME.TASK, if the preset has this table
   --config FILE                 in the order given
   S2MIA__SECTION__KEY           environment variables
-  section.key=value             arguments";
+  section.key=value             arguments
+
+  s2mia config ant-4x2 surprise.alpha            what a key means, its value here and who set it";
+
+const COMPLETIONS: &str = "\
+Examples:
+  s2mia completions bash > ~/.local/share/bash-completion/completions/s2mia
+  s2mia completions zsh > ~/.zfunc/_s2mia            with `fpath+=~/.zfunc` before `compinit`
+  s2mia completions fish > ~/.config/fish/completions/s2mia.fish";
+
+/// `s2mia completions`
+#[derive(Args, Debug)]
+pub(crate) struct CompletionsArguments {
+    /// Shell.
+    shell: clap_complete::Shell,
+}
+
+/// Prints the script.
+fn completions(arguments: &CompletionsArguments) {
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut Arguments::command(), "s2mia", &mut script);
+    output::line(String::from_utf8_lossy(&script).trim_end());
+}
 
 impl Arguments {
     /// The arguments in a command line, which begins with the name of the program.
@@ -146,7 +174,8 @@ impl Command {
             | Self::Watch(_)
             | Self::Eval(_)
             | Self::Inspect(_)
-            | Self::Config(_) => CommandKind::Lines,
+            | Self::Config(_)
+            | Self::Completions(_) => CommandKind::Lines,
             Self::Tasks(tasks) if tasks.picture.is_none() => CommandKind::Lines,
             _ => CommandKind::Work,
         }
@@ -188,6 +217,10 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Tasks(arguments) => task::list(&arguments),
         Command::Task(command) => task::run(&command),
         Command::Config(arguments) => inspect::config(&arguments),
+        Command::Completions(arguments) => {
+            completions(&arguments);
+            Ok(())
+        }
         Command::Certs(arguments) => certs::run(&arguments),
     }
 }

@@ -158,6 +158,25 @@ impl TaskDefinition {
         Self { file, model: include_str!("../assets/hopper.xml").to_owned() }
     }
 
+    /// The task file and model of a robot that is part of the program, for tasks of other names. `name` is the robot's or that
+    /// of one of its tasks.
+    ///
+    /// # Errors
+    /// If no robot has this name.
+    pub fn like(name: &str) -> Result<Self, SimError> {
+        let is_it =
+            |file: &TaskFile| file.robot == name || file.task_names().any(|task| task == name);
+        let Some(index) = FILES.iter().position(|(file, _)| is_it(file)) else {
+            let known = FILES.iter().map(|(file, _)| file.robot.as_str());
+            let choice = crate::spelling::choice(name, known);
+            return Err(refused(format!("no robot of the program is called `{name}`; {choice}")));
+        };
+        let robot = |of: &str| format!("\nrobot = \"{of}\"");
+        let own = &FILES[index].0.robot;
+        let file = SHIPPED[index][0].replacen(&robot(own), &robot(&format!("my-{own}")), 1);
+        Ok(Self { file, model: SHIPPED[index][1].to_owned() })
+    }
+
     /// Path of the model that a task file names, relative to the file.
     ///
     /// # Errors

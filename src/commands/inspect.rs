@@ -6,17 +6,49 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
-use crate::config::effect;
+use crate::config::own_task::OwnTask;
 use crate::config::run_config::RunConfig;
+use crate::config::{effect, keys, layers, presets};
 use crate::process::output;
 use crate::run::{SettingsArguments, stored};
 
-/// Prints TOML that `--config` can read again.
+/// Prints TOML that `--config` can read again, or what the named keys mean.
 pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
+    let mut arguments = arguments.clone();
+    let keys: Vec<String> = arguments.settings.extract_if(.., |word| is_key(word)).collect();
+    keys.iter().try_for_each(|key| layers::default_of(key).map(|_| ()))?;
     let config = RunConfig::of(&arguments.request())?;
+    if !keys.is_empty() {
+        keys.iter().for_each(|key| output::line(explained(&config, key)));
+        return Ok(());
+    }
     output::line(config.resolved.to_toml_with_origins(effect::remarks(&config)));
     output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));
     Ok(())
+}
+
+/// Whether an argument of `s2mia config` names a key, and not a task or a value.
+fn is_key(word: &str) -> bool {
+    let dotted = word.contains('.') && !word.contains('=') && !OwnTask::is_path(word);
+    dotted || layers::default_of(word).is_ok()
+}
+
+/// A setting's value and origin, its default and description, and whether it affects the result of a run.
+fn explained(config: &RunConfig, key: &str) -> String {
+    let entry = &config.resolved.entries[key];
+    let default = layers::default_of(key).map_or_else(|_| String::new(), ToString::to_string);
+    let effect = match keys::is_semantic(key) {
+        true => "part of config_sha256: another value is another run",
+        false => "affects no result of the steps that are trained",
+    };
+    let lines = [
+        format!("{key} = {}", config.resolved.shown(key)),
+        format!("  set by   {}{}", entry.origin, effect::remarks(config)(key)),
+        format!("  default  {default}"),
+        format!("  meaning  {}", presets::description(key)),
+        format!("  effect   {effect}"),
+    ];
+    lines.into_iter().filter(|line| !line.ends_with("meaning  ")).collect::<Vec<_>>().join("\n")
 }
 
 /// `s2mia inspect`

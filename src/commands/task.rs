@@ -1,5 +1,7 @@
 //! `s2mia tasks` and `s2mia task`: lists the tasks that can be trained, checks a task file, or writes an example of one.
 
+mod new;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -8,7 +10,7 @@ use policy::randomness::uniform;
 use policy::{Draw, DrawKey, Purpose, RunSeed};
 use proto::EnvironmentSpec;
 use serde_json::json;
-use sim::{Actuator, EnvironmentBatch, Outcome, Pose, Robot, TaskDefinition, Torque};
+use sim::{Actuator, EnvironmentBatch, Outcome, Pose, Robot, Torque};
 
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
@@ -88,8 +90,8 @@ pub(super) fn as_table(task: &EnvironmentSpec) -> String {
 pub(crate) enum TaskCommand {
     /// Check a task file: print masses, joints and agents, and play episodes of random actions.
     Check(TaskCheckArguments),
-    /// Write an example into a folder: a task file with its model, which can be trained.
-    New(TaskNewArguments),
+    /// Write a task file with its model into a folder: an example, or a copy of a robot of the program to change.
+    New(new::TaskNewArguments),
 }
 
 /// `s2mia task check`
@@ -109,22 +111,11 @@ pub(crate) struct TaskCheckArguments {
     pub(crate) force: ForceArguments,
 }
 
-/// `s2mia task new`
-#[derive(Args, Debug)]
-pub(crate) struct TaskNewArguments {
-    /// Folder of the new files; it is made if necessary.
-    #[arg(value_name = "DIR")]
-    pub(crate) folder: PathBuf,
-    /// Force.
-    #[command(flatten)]
-    pub(crate) force: ForceArguments,
-}
-
 /// Runs one of the commands.
 pub(super) fn run(command: &TaskCommand) -> anyhow::Result<()> {
     match command {
         TaskCommand::Check(arguments) => check(arguments),
-        TaskCommand::New(arguments) => new(arguments),
+        TaskCommand::New(arguments) => new::new(arguments),
     }
 }
 
@@ -178,34 +169,6 @@ fn as_json(task: &EnvironmentSpec) -> serde_json::Value {
         "state": task.state.iter().map(|feature| feature.name.as_str()).collect::<Vec<_>>(),
         "agents": agents,
     })
-}
-
-/// Writes the example.
-fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
-    let TaskDefinition { file, model } = TaskDefinition::example();
-    let texts = [("hopper.toml", file), ("hopper.xml", model)];
-    let texts = texts.map(|(name, text)| (arguments.folder.join(name), text));
-    let paths = texts.iter().map(|(path, _)| path.clone());
-    target::demand_free("DIR", paths, arguments.force.existing())?;
-    target::option_folder("DIR", &arguments.folder)?;
-    for (path, text) in &texts {
-        target::file(path, text.as_bytes())?;
-    }
-    let task = &texts[0].0;
-    let shown = texts[0].0.display();
-    let check = shell::path(task);
-    let train = setting(task);
-    output::line(format!("{shown}: next `s2mia task check {check}`, then `s2mia train {train}`"));
-    Ok(())
-}
-
-/// A path as the task of `s2mia train`, in which an argument with `=` is a setting.
-fn setting(task: &Path) -> String {
-    if task.to_string_lossy().contains('=') {
-        shell::word(&format!("task={}", task.display()))
-    } else {
-        shell::path(task)
-    }
 }
 
 /// Prints the robot, its agents and what random actions do.

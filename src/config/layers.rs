@@ -307,6 +307,14 @@ fn first_inside(key: &str) -> Option<&'static String> {
     DEFAULTS.keys().find(|known| known.starts_with(&section))
 }
 
+/// The default under `key`, which the user names instead of a value.
+///
+/// # Errors
+/// If there is no such setting.
+pub(crate) fn default_of(key: &str) -> Result<&'static Value, ConfigError> {
+    known(COMMAND_LINE, key)
+}
+
 /// The default under `key`, whose kind a value must have.
 fn known(place: &str, key: &str) -> Result<&'static Value, ConfigError> {
     if let Some(default) = DEFAULTS.get(key) {

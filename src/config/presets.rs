@@ -61,6 +61,22 @@ pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
 }
 
+/// The description of a setting in `configs/base.toml`; empty if its name says it all.
+pub(crate) fn description(key: &str) -> &'static str {
+    let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
+    let mut current = "";
+    for line in BASE.text.lines() {
+        if let Some(header) = line.strip_prefix('[') {
+            current = header.trim_end_matches(']');
+        }
+        let is_it = line.split_once('=').is_some_and(|(left, _)| left.trim() == name);
+        if is_it && current == section {
+            return line.split_once('#').map_or("", |(_, description)| description.trim());
+        }
+    }
+    ""
+}
+
 /// Whether this is the text of a file of the program, which somebody gave by its path.
 pub(crate) fn is_text_of_one(text: &str) -> bool {
     let named = [TASKS, ALGORITHMS, PRESETS].into_iter().flatten();
@@ -87,6 +103,15 @@ mod tests {
             let inside: BTreeSet<String> = presets.iter().map(|p| p.name.to_owned()).collect();
             assert_eq!(names_in(folder), inside, "{folder}");
         }
+    }
+
+    #[test]
+    fn a_description_is_that_of_the_key_in_its_own_section() {
+        assert!(description("surprise.alpha").starts_with("weight of log p_theta(o)"));
+        assert!(description("algorithm").is_empty());
+        assert!(description("policy.layers").starts_with("mlp: "));
+        assert!(description("critic.layers").is_empty());
+        assert!(description("run.iterations").ends_with("0: from env_steps"));
     }
 
     #[test]

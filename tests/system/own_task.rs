@@ -11,6 +11,63 @@ fn example(runs: &Runs) -> std::path::PathBuf {
     folder.join("hopper.toml")
 }
 
+#[test]
+fn a_copy_of_a_shipped_task_trains_as_the_task_itself_under_its_own_name() {
+    let runs = Runs::new();
+    let folder = runs.folder("robot");
+    succeeded(&["task", "new", "--from", "walker2d-2x3", text(&folder)]);
+    let copy = folder.join("walker2d.toml");
+    let file = std::fs::read_to_string(&copy).unwrap();
+    assert!(
+        file.contains("robot = \"my-walker2d\"") && file.contains("[settings.update]"),
+        "{file}"
+    );
+    let task = format!("{}:2x3", copy.display());
+    let [shown, own] = [task.as_str(), "walker2d-2x3"].map(|task| {
+        let lines = succeeded(&["config", task, "update.gae_lambda"]);
+        lines.lines().next().unwrap().to_owned()
+    });
+    assert_eq!(shown, "update.gae_lambda = 0.95");
+    assert_eq!(shown, own);
+    let [copied, shipped] =
+        [("copy", task.as_str()), ("shipped", "walker2d-2x3")].map(|(name, task)| {
+            let run = runs.folder(name);
+            train(
+                &run,
+                &[task, "environments.count=4", "environments.steps=10", "run.iterations=1"],
+            );
+            weights(&run)
+        });
+    assert_eq!(copied, shipped);
+    let unknown = refused(&["task", "new", "--from", "walker2", text(&runs.folder("other"))]);
+    assert!(
+        unknown.ends_with(
+            "--from: no robot of the program is called `walker2`; did you mean `walker2d`?"
+        ),
+        "{unknown}"
+    );
+}
+
+#[test]
+fn a_key_is_explained_with_its_value_origin_default_and_effect() {
+    let lines = succeeded(&["config", "ant-4x2", "surprise.alpha", "lease.ttl_secs"]);
+    let [alpha, lease] =
+        [5, 10].map(|end| lines.lines().take(end).skip(end - 5).collect::<Vec<_>>());
+    assert!(
+        alpha[0].starts_with("surprise.alpha = 0.")
+            && alpha[1].ends_with("configs/algorithms/happo-s2mia.toml"),
+        "{alpha:?}"
+    );
+    assert_eq!(alpha[2], "  default  0.0");
+    assert!(alpha[3].starts_with("  meaning  weight of log p_theta(o)"), "{alpha:?}");
+    assert_eq!(lease[4], "  effect   affects no result of the steps that are trained");
+    let unknown = refused(&["config", "surprise.alfa"]);
+    assert!(
+        unknown.ends_with("unknown key `surprise.alfa`; did you mean `surprise.alpha`?"),
+        "{unknown}"
+    );
+}
+
 /// The line with which `s2mia` refuses the arguments while `to` stands for `from` in a file.
 fn refused_with(file: &Path, from: &str, to: &str, arguments: &[&str]) -> String {
     let valid = std::fs::read_to_string(file).unwrap();
