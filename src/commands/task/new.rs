@@ -52,7 +52,9 @@ fn copy(name: &str) -> anyhow::Result<TaskDefinition> {
     let mut copy =
         TaskDefinition::like(name).map_err(|error| Usage::new(format!("--from: {error}")))?;
     let settings = presets::find(presets::TASKS, name).map(|preset| preset.text.parse());
-    let settings: toml::Table = settings.transpose()?.unwrap_or_default();
+    let mut settings: toml::Table = settings.transpose()?.unwrap_or_default();
+    // Settings of a task file count as the user's, and without its learning rule this section would be refused.
+    settings.remove("maddpg");
     if !settings.is_empty() {
         let settings = toml::Table::from_iter([("settings".to_owned(), settings.into())]);
         copy.file += &format!("\n{settings}");
