@@ -33,7 +33,7 @@ use crate::state::StateBounds;
 
 pub use actuator::{Actuator, Torque};
 pub(crate) use assemble::{
-    ShapeTag, Template, ball_joint, ball_rotation, empty_world, floating_joint,
+    Template, ball_joint, ball_rotation, empty_world, floating_joint, shape_of,
 };
 pub(crate) use blueprint::{
     Blueprint, Cone, ContactRules, GroundForm, GroundPlan, HeightField, JointPlan, Keyframe, Law,

@@ -123,26 +123,25 @@ impl World {
         }
     }
 
-    /// Runs one physics step with the last controls. Returns whether the state is still finite: rapier disables bodies
-    /// with non-finite values and reports this only here.
+    /// Runs one physics step with the last controls. Returns whether the state is still finite.
     pub fn substep(&mut self) -> bool {
         let layout = self.robot.layout();
         let set = &mut self.physics.multibody_joints;
         let robot = set.get_multibody_mut(layout.multibody).expect("the template holds the robot");
         self.drives.apply(robot, &layout.hinges);
-        let is_finite = match &mut self.enforcer {
+        match &mut self.enforcer {
             Enforcer::Engine(contacts) => {
                 contacts.observe(&self.robot, robot);
                 self.physics.step_with_events(&*contacts, &());
-                true
+                let robot = self.physics.multibody_joints.get_multibody(layout.multibody);
+                self.drives.note(robot.expect("the template holds the robot"), &layout.hinges);
+                // The engine disables bodies with non-finite values and reports this only here.
+                self.physics.quarantine().is_empty()
             }
             Enforcer::Constraints(constraints) => {
                 constraints.step(&self.robot, &mut self.drives, &mut self.physics)
             }
-        };
-        let robot = self.physics.multibody_joints.get_multibody(layout.multibody);
-        self.drives.note(robot.expect("the template holds the robot"), &layout.hinges);
-        is_finite && self.physics.quarantine().is_empty()
+        }
     }
 
     /// Writes the generalised coordinates `[nq]` relative to the rest pose, m and rad.
@@ -207,7 +206,7 @@ impl World {
         self.write(coordinates, velocities);
     }
 
-    /// Sets all joints, links and colliders to this motion. The contacts keep their impulses.
+    /// Sets all joints and links to this motion, and what the engine's solver reads. The contacts keep their impulses.
     fn write(&mut self, coordinates: &[f32], velocities: &[f32]) {
         for index in 0..self.robot.layout().joints.len() {
             let joint = self.robot.layout().joints[index];
@@ -217,7 +216,9 @@ impl World {
         let multibody = self.physics.multibody_joints.get_multibody_mut(index);
         let multibody = multibody.expect("the template holds the robot");
         multibody.forward_kinematics(&self.physics.bodies, true);
-        place(&mut self.physics, index);
+        if let Enforcer::Engine(_) = self.enforcer {
+            place(&mut self.physics, index);
+        }
     }
 
     fn multibody(&self) -> &Multibody {

@@ -28,8 +28,6 @@ pub(crate) struct Template {
 
 const GROUND: Group = Group::GROUP_1;
 const ROBOT: Group = Group::GROUP_2;
-/// `Engine { compliance }` where the engine solves no contacts.
-const ANY_COMPLIANCE: f32 = 0.1;
 
 /// Builds the template in its rest pose, and the layout of the robot's coordinates in it.
 pub(super) fn assemble(blueprint: &Blueprint) -> Result<(Template, Layout), String> {
@@ -48,17 +46,18 @@ pub(super) fn assemble(blueprint: &Blueprint) -> Result<(Template, Layout), Stri
         let body = insert_link(&mut world, blueprint, link, (parent_frame * link.rest, shapes));
         shapes += link.shapes.len();
         let parent = link.parent.map_or(ground, |parent| handles[parent]);
-        if let Some(mut joint) = joint(link) {
-            joint.set_contacts_enabled(blueprint.finds_links());
+        if let Some(joint) = joint(link) {
             let inserted = world.multibody_joints.insert(parent, body, joint, true);
             inserted.ok_or_else(|| format!("{}: rapier rejects the joint", link.name))?;
         }
         handles.push(body);
     }
-    update_root(&mut world, handles[0]);
+    weigh(&mut world, handles[0]);
     let mut layout = Layout::new(blueprint, &world, &handles)?;
     set_passive_terms(&mut world, blueprint, &layout);
-    fill_broad_phase(&mut world);
+    if let Law::Engine { .. } = blueprint.law {
+        fill_broad_phase(&mut world);
+    }
     set_inverse_masses(&world, blueprint, &mut layout);
     Ok((Template::of(world), layout))
 }
@@ -90,20 +89,17 @@ impl Template {
 
 /// Creates an empty world with the robot's gravity and its physics step split into `parts`.
 ///
-/// For [`Law::Engine`], [`ContactLaw`](crate::world::ContactLaw) implements the contacts' springs. The engine only
-/// enforces their target speeds, with the given compliance: without damping `erp = 1`, and the compliance is
+/// [`Law::Constraints`] needs nothing else of the engine's settings, since the engine makes no step. For [`Law::Engine`],
+/// [`ContactLaw`](crate::world::ContactLaw) implements the contacts' springs. The engine only enforces their target speeds, with the given compliance: without damping `erp = 1`, and the compliance is
 /// `1 / (dt w)^2`. One pass solves contacts and friction, because a second pass without bias would remove the springs'
 /// rebound.
 pub(crate) fn empty_world(blueprint: &Blueprint, parts: u32) -> PhysicsWorld {
-    let compliance = match blueprint.law {
-        Law::Engine { compliance } => compliance,
-        Law::Constraints => ANY_COMPLIANCE,
-    };
     let mut world = PhysicsWorld { gravity: blueprint.gravity, ..PhysicsWorld::default() };
-    // Balancing the tree would call the platform's logarithm. A dozen shapes do not need it.
-    world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
     let parameters = &mut world.integration_parameters;
     parameters.dt = blueprint.timestep_secs as f32 / parts as f32;
+    let Law::Engine { compliance } = blueprint.law else { return world };
+    // Balancing the tree would call the platform's logarithm. A dozen shapes do not need it.
+    world.broad_phase = BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None);
     parameters.num_solver_iterations = 1;
     parameters.num_internal_pgs_iterations = 2;
     parameters.num_internal_stabilization_iterations = 0;
@@ -140,14 +136,11 @@ fn insert_ground(
                 _ => Vector::ZERO,
             }),
     };
-    let tag = ShapeTag { shape: index, body: ground.body };
     let collider = match blueprint.law {
-        Law::Engine { .. } => collider,
-        Law::Constraints => collider
-            .user_data(tag.encoded())
-            .contact_skin(ground.surface.reach(&blueprint.contacts.stated)),
+        Law::Engine { .. } => solved(collider, 0.0, GROUND, ROBOT),
+        Law::Constraints => collider.contact_skin(ground.surface.reach(&blueprint.contacts.stated)),
     };
-    world.colliders.insert(touching(collider, 0.0, GROUND, ROBOT));
+    world.colliders.insert(collider.user_data(index as u128));
 }
 
 fn height_field(field: &HeightField) -> SharedShape {
@@ -172,31 +165,28 @@ fn insert_link(
         .additional_mass_properties(link.mass);
     let handle = world.bodies.insert(body);
     for (index, plan) in (first_shape..).zip(&link.shapes) {
-        let parts = contact_parts(blueprint, link, index, plan);
-        let Some((friction, margin, hooks)) = parts else { continue };
-        let others = if blueprint.finds_links() { GROUND | ROBOT } else { GROUND };
-        let collider = touching(collider(plan), friction, ROBOT, others)
-            .user_data(ShapeTag { shape: index, body: plan.body }.encoded())
-            .contact_skin(margin)
-            .active_hooks(hooks);
+        let Some(collider) = touching(blueprint, link, index, plan) else { continue };
+        let collider = collider.user_data(index as u128);
         world.colliders.insert_with_parent(collider, handle, &mut world.bodies);
     }
     handle
 }
 
-/// Friction and margin of a shape's collider, and the calls that its contacts need; `None` if it touches nothing.
-fn contact_parts(
+/// Collider of a shape, whose skin is the distance at which its contacts become active; `None` if it touches nothing.
+fn touching(
     blueprint: &Blueprint,
     link: &LinkPlan,
     index: usize,
     plan: &ShapePlan,
-) -> Option<(f32, f32, ActiveHooks)> {
+) -> Option<ColliderBuilder> {
     match blueprint.law {
         Law::Engine { .. } if link.is_base() => None,
         Law::Engine { .. } => {
             let contact = blueprint.floor_contact(plan)?;
-            let hooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
-            Some((contact.sliding_friction() as f32, contact.margin, hooks))
+            let collider = collider(plan)
+                .contact_skin(contact.margin)
+                .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
+            Some(solved(collider, contact.sliding_friction() as f32, ROBOT, GROUND))
         }
         Law::Constraints => {
             let surface = plan.surface.filter(|_| blueprint.touches(link, index, plan))?;
@@ -204,7 +194,7 @@ fn contact_parts(
             let pairs = blueprint.contacts.pairs.iter();
             let pairs = pairs.filter(|pair| pair.shapes.contains(&index));
             let margin = pairs.map(|pair| pair.contact.margin).fold(own, f32::max);
-            Some((0.0, margin, ActiveHooks::FILTER_CONTACT_PAIRS))
+            Some(collider(plan).contact_skin(margin))
         }
     }
 }
@@ -222,26 +212,13 @@ fn collider(plan: &ShapePlan) -> ColliderBuilder {
     collider.mass_properties(MassProperties::default())
 }
 
-/// Index of a collider's shape among all shapes of the blueprint, and of its body in the model.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ShapeTag {
-    pub(crate) shape: usize,
-    pub(crate) body: usize,
+/// Index of a collider's shape among the shapes of all links, then the fixed ones, in the order of the blueprint.
+pub(crate) fn shape_of(collider: &Collider) -> usize {
+    collider.user_data as usize
 }
 
-impl ShapeTag {
-    fn encoded(self) -> u128 {
-        ((self.shape as u128) << 64) | self.body as u128
-    }
-
-    /// The tag of a collider; that of the floor names the world.
-    pub(crate) fn of(collider: &Collider) -> Self {
-        let code = collider.user_data;
-        Self { shape: (code >> 64) as usize, body: code as u64 as usize }
-    }
-}
-
-fn touching(collider: ColliderBuilder, friction: f32, own: Group, other: Group) -> ColliderBuilder {
+/// A collider whose contacts the engine solves.
+fn solved(collider: ColliderBuilder, friction: f32, own: Group, other: Group) -> ColliderBuilder {
     collider
         .friction(friction)
         .friction_combine_rule(CoefficientCombineRule::Max)
@@ -312,12 +289,16 @@ fn hinge_joint(link: &LinkPlan, hinge: &Hinge) -> GenericJoint {
         .build()
 }
 
-/// Runs the first kinematics. Before it, a multibody also counts the six freedoms of a fixed root, and all rows are off
-/// by six.
-fn update_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
+/// Computes the bodies' masses and runs the first kinematics. Before it, a multibody also counts the six freedoms of a fixed
+/// root, and all rows are off by six.
+fn weigh(world: &mut PhysicsWorld, root: RigidBodyHandle) {
+    for (_, body) in world.bodies.iter_mut() {
+        body.recompute_mass_properties_from_colliders(&world.colliders);
+    }
     let index = world.multibody_joints.rigid_body_link(root).map(|link| link.multibody);
     if let Some(robot) = index.and_then(|index| world.multibody_joints.get_multibody_mut(index)) {
         robot.forward_kinematics(&world.bodies, true);
+        robot.update_rigid_bodies(&mut world.bodies, true);
     }
 }
 
@@ -325,7 +306,7 @@ fn update_root(world: &mut PhysicsWorld, root: RigidBodyHandle) {
 /// to zero, because rapier's default damping of angular freedoms is 0.1.
 fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &Layout) {
     let Some(robot) = world.multibody_joints.get_multibody_mut(layout.multibody) else { return };
-    robot.set_self_contacts_enabled(blueprint.finds_links());
+    robot.set_self_contacts_enabled(false);
     robot.damping_mut().fill(0.0);
     robot.armature_mut().fill(0.0);
     for (link, map) in blueprint.links.iter().zip(&layout.joints) {
@@ -350,8 +331,7 @@ fn set_passive_terms(world: &mut PhysicsWorld, blueprint: &Blueprint, layout: &L
     }
 }
 
-/// Computes inverse masses and inertias. Bodies have masses only after a step. A copy is used, so that the template
-/// does not change.
+/// Computes inverse masses and inertias. A copy is used, so that the template does not change.
 fn set_inverse_masses(world: &PhysicsWorld, blueprint: &Blueprint, layout: &mut Layout) {
     let robot = world.multibody_joints.get_multibody(layout.multibody);
     let mut robot = robot.expect("the layout was read from this world").clone();

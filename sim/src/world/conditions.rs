@@ -3,7 +3,7 @@
 use rapier3d::math::Vector;
 
 use super::{Enforcer, World};
-use crate::robot::ShapeTag;
+use crate::robot::shape_of;
 
 /// Physical parameters of an episode, relative to the model's. The softness of contacts and limits, which depends on the
 /// masses of the rest pose, stays that of the model.
@@ -48,7 +48,7 @@ impl World {
         self.physics.gravity = conditions.gravity.unwrap_or(self.robot.blueprint().gravity);
         let moving = self.robot.blueprint().shapes().count();
         for (_, collider) in self.physics.colliders.iter_mut() {
-            let fixed = ShapeTag::of(collider).shape.checked_sub(moving);
+            let fixed = shape_of(collider).checked_sub(moving);
             let rise = conditions.rises.iter().find(|(ground, _)| Some(*ground) == fixed);
             if let Some((_, rise)) = rise {
                 collider.set_translation(collider.translation() + Vector::Z * *rise);

@@ -14,7 +14,7 @@ use rapier3d::dynamics::Multibody;
 use rapier3d::math::Vector;
 use rapier3d::prelude::{ContactModificationContext, PhysicsHooks, RigidBodyHandle, SolverContact};
 
-use crate::robot::{Layout, Robot, ShapeTag, Softness, Spring};
+use crate::robot::{Layout, Robot, Softness, Spring, shape_of};
 
 /// Largest compliance along the normal that is computed from the last impulse, in units of the inverse mass. With 1,
 /// the contact would oscillate.
@@ -139,7 +139,7 @@ impl PhysicsHooks for ContactLaw {
             (context.rigid_body2, context.collider2)
         };
         let collider = &context.colliders[collider];
-        let law = self.shapes.get(ShapeTag::of(collider).shape).copied().flatten();
+        let law = self.shapes.get(shape_of(collider)).copied().flatten();
         let capsule = collider.shape().as_capsule();
         let along = capsule.map_or(Vector::ZERO, |capsule| {
             collider.rotation() * (capsule.segment.b - capsule.segment.a)

@@ -171,6 +171,10 @@ impl HingeDrives {
             drive.applied = torque;
             robot.armature_mut()[hinge.dof] = hinge.plan.armature + limit.armature;
             robot.damping_mut()[hinge.dof] = self.dampings[index] + drive.damping;
+            if self.springs[index].is_none() {
+                // Constraints take the torque as a number.
+                continue;
+            }
             let link = robot.link_mut(hinge.link).expect("the layout is this robot's");
             let rest = at + hinge.plan.axis.sign * torque / WEAK_SPRING;
             link.joint.set_spring(hinge.axis, WEAK_SPRING, rest);

@@ -166,14 +166,6 @@ impl Blueprint {
         Ok(())
     }
 
-    /// Whether links can touch links: each other, or those of another tree.
-    pub(crate) fn finds_links(&self) -> bool {
-        self.law == Law::Constraints
-            && (self.contacts.links_touch
-                || !self.contacts.pairs.is_empty()
-                || self.has_several_trees())
-    }
-
     /// Contact of a shape with the fixed shape `ground`; `None` if MuJoCo computes none.
     pub(crate) fn contact(&self, shape: &ShapePlan, ground: &GroundPlan) -> Option<ContactPlan> {
         let surface = shape.surface.filter(|surface| surface.meets(&ground.surface))?;
@@ -183,10 +175,14 @@ impl Blueprint {
     /// Whether a shape, the one with the index `index` of all, can touch anything.
     pub(crate) fn touches(&self, link: &LinkPlan, index: usize, shape: &ShapePlan) -> bool {
         let Some(surface) = shape.surface else { return false };
-        let is_paired = self.contacts.pairs.iter().any(|pair| pair.shapes.contains(&index));
+        let pairs = &self.contacts.pairs;
+        let links_touch =
+            self.contacts.links_touch || !pairs.is_empty() || self.has_several_trees();
         let is_on_ground =
             self.grounds.iter().any(|ground| surface.meets(&ground.surface)) && !link.is_base();
-        is_paired || is_on_ground || (self.finds_links() && surface.collides())
+        pairs.iter().any(|pair| pair.shapes.contains(&index))
+            || is_on_ground
+            || (links_touch && surface.collides())
     }
 
     /// Contact of a shape with the first fixed shape, the only one in the engine's law.

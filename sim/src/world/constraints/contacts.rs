@@ -11,13 +11,13 @@ use super::motion::{LinkMotion, Motion, wide};
 use super::near::{Bounds, Near};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
-    Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, ShapeTag, Surface,
+    Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of,
 };
 use crate::scene::Shape;
 
 /// The shapes of a robot and its world that can touch, and the contacts of the last step.
 pub(super) struct Touching {
-    /// The robot's shapes, then the fixed ones, in the order of [`ShapeTag::shape`].
+    /// The robot's shapes, then the fixed ones, as [`shape_of`] counts them.
     shapes: Vec<TouchShape>,
     near: Near,
     /// Shapes that are close in this step, in order; the first of a link and a fixed shape is the fixed one.
@@ -121,7 +121,7 @@ impl Touching {
         });
         let mut shapes: Vec<TouchShape> = moving.chain(fixed).collect();
         for (handle, collider) in robot.template().colliders.iter() {
-            shapes[ShapeTag::of(collider).shape].collider = Some(handle);
+            shapes[shape_of(collider)].collider = Some(handle);
         }
         Self {
             shapes,

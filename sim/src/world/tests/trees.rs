@@ -66,6 +66,14 @@ fn links_of_different_trees_touch_without_self_contacts() {
 }
 
 #[test]
+fn the_engines_solver_has_no_part_in_contacts_of_constraints() {
+    let mut world = world_of(&document(PLATE, TILT));
+    assert!(world.step(&[0.0]));
+    assert!(world.contact_impulse() > 0.0);
+    assert_eq!(world.physics.narrow_phase.contact_pairs().count(), 0);
+}
+
+#[test]
 fn a_state_with_a_second_quaternion_that_is_not_a_unit_is_refused() {
     let robot = robot(&document(PLATE, TILT)).unwrap();
     let bounds = robot.state_bounds(10);
