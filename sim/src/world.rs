@@ -133,6 +133,7 @@ impl World {
             Enforcer::Engine(contacts) => {
                 contacts.observe(&self.robot, robot);
                 self.physics.step_with_events(&*contacts, &());
+                self.drives.advance(1.0, None);
                 let robot = self.physics.multibody_joints.get_multibody(layout.multibody);
                 self.drives.note(robot.expect("the template holds the robot"), &layout.hinges);
                 // The engine disables bodies with non-finite values and reports this only here.

@@ -178,6 +178,12 @@ MOTIONS = {
           <general joint="j1" dyntype="filter" dynprm="0.05" gainprm="3" ctrlrange="-1 1"/>
           <general joint="j2" dyntype="integrator" actrange="-0.2 0.1" actearly="true" gainprm="10" biastype="affine"
             biasprm="0 -10 -0.5" ctrlrange="-1 1"/></actuator>"""), [], [0.5, -0.3, 0.8], 300),
+    "activations in a step of Runge and Kutta": (
+        ARM.format(body="", joint="", sections="""<actuator>
+          <position joint="j1" kp="20" timeconst="0.05" ctrlrange="-1 1"/>
+          <general joint="j1" dyntype="filter" dynprm="0.02" gainprm="3" actearly="true" ctrlrange="-1 1"/>
+          <general joint="j2" dyntype="integrator" actrange="-0.2 0.1" gainprm="10" biastype="affine" biasprm="0 -10 0"
+            ctrlrange="-1 1"/></actuator>""").replace('"0.001"', '"0.005" integrator="RK4"'), [], [0.5, -0.3, 0.8], 60),
     "joints with a spring and damper": (
         BALLS.format(limit=' springdamper="0.2 0.3"').replace('axis="0 1 1"', 'axis="0 1 1" springdamper="0.5 0.7"'),
         [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),

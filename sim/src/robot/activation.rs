@@ -17,7 +17,7 @@ pub(crate) struct Activation {
 pub(crate) enum ActivationKind {
     /// `dw/dt = c`.
     Integrator,
-    /// `dw/dt = (c - w) / time constant`, by Euler's method.
+    /// `dw/dt = (c - w) / time constant`, by the model's integrator.
     Filter,
     /// The same, exactly for a constant control.
     ExactFilter,
@@ -27,16 +27,25 @@ pub(crate) enum ActivationKind {
 const LARGEST: f32 = 1e9;
 
 impl Activation {
-    /// The activation after a step of `step_secs` with a control.
-    pub(crate) fn next(&self, activation: f32, control: f32, step_secs: f32) -> f32 {
-        let part = step_secs / self.time_constant_secs;
-        let next = match self.kind {
-            ActivationKind::Integrator => activation + step_secs * control,
-            ActivationKind::Filter => activation + part * (control - activation),
+    /// The rate of an activation with a control, 1/s.
+    pub(crate) fn rate(&self, activation: f32, control: f32) -> f32 {
+        match self.kind {
+            ActivationKind::Integrator => control,
+            ActivationKind::Filter | ActivationKind::ExactFilter => {
+                (control - activation) / self.time_constant_secs
+            }
+        }
+    }
+
+    /// The activation after a step of `step_secs` with this rate at its start.
+    pub(crate) fn next(&self, activation: f32, rate: f32, step_secs: f32) -> f32 {
+        let secs = match self.kind {
+            ActivationKind::Integrator | ActivationKind::Filter => step_secs,
             ActivationKind::ExactFilter => {
-                activation - libm::expm1f(-part) * (control - activation)
+                -libm::expm1f(-step_secs / self.time_constant_secs) * self.time_constant_secs
             }
         };
+        let next = activation + secs * rate;
         let [low, high] = self.range.unwrap_or([-LARGEST, LARGEST]);
         next.clamp(low, high)
     }
@@ -63,7 +72,8 @@ mod tests {
             (ActivationKind::Integrator, Some([-0.01, 0.01]), 0.01),
         ] {
             let own = Activation { kind, time_constant_secs: 0.05, range, is_early: false };
-            let end = (0..10).fold(0.0, |activation, _| own.next(activation, 0.8, 0.002));
+            let step = |activation: f32, _| own.next(activation, own.rate(activation, 0.8), 0.002);
+            let end = (0..10).fold(0.0, step);
             assert!((end - expected).abs() < 1e-6, "{kind:?}: {end} against {expected}");
         }
     }

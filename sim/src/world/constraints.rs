@@ -89,6 +89,7 @@ impl Constraints {
         if self.integration == Integration::RungeKutta {
             return self.finish_runge_kutta(robot, drives, physics);
         }
+        drives.advance(1.0, None);
         let (mut end, start) = (std::mem::take(&mut self.end), std::mem::take(&mut self.start));
         end.clone_from(&start.speeds);
         matrix::add_scaled(&mut end, self.step_secs, &self.change);

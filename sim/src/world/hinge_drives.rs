@@ -35,8 +35,12 @@ struct Motor {
     control: f32,
     /// 0 without one.
     activation: f32,
-    /// Activation before the step.
-    before: f32,
+    /// Its rate, 1/s.
+    rate: f32,
+    /// Activation at the start of the step.
+    start: f32,
+    /// Mean rate of the stages of the step until now, 1/s.
+    mean_rate: f32,
 }
 
 /// Drive of one hinge. Angles, speeds and torques have the model's sign.
@@ -70,12 +74,14 @@ struct Limit {
 }
 
 impl Motor {
-    /// What its gain multiplies in a step, after which its activation is that at the end of the step.
-    fn step(&mut self, step_secs: f32) -> f32 {
+    /// What its gain multiplies in a stage.
+    fn input(&mut self, step_secs: f32) -> f32 {
         let Some(own) = &self.plan.activation else { return self.control };
-        self.before = self.activation;
-        self.activation = own.next(self.before, self.control, step_secs);
-        if own.is_early { self.activation } else { self.before }
+        self.rate = own.rate(self.activation, self.control);
+        match own.is_early {
+            true => own.next(self.activation, self.rate, step_secs),
+            false => self.activation,
+        }
     }
 }
 
@@ -94,7 +100,9 @@ impl HingeDrives {
                     plan: plan.clone(),
                     control: 0.0,
                     activation: 0.0,
-                    before: 0.0,
+                    rate: 0.0,
+                    start: 0.0,
+                    mean_rate: 0.0,
                 };
                 blueprint.motors.iter().map(still).collect()
             },
@@ -142,15 +150,30 @@ impl HingeDrives {
         self.motors[motor].control
     }
 
-    /// Applies the torques of a later stage of a physics step, whose activations are those before it.
-    pub(crate) fn apply_again(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
-        self.motors.iter_mut().for_each(|motor| motor.activation = motor.before);
-        self.apply(robot, hinges);
+    /// Moves the activations to the end of the step, with the mean rate of its stages, or `part` of a step from its start. The
+    /// stage that was applied last has this weight in the mean.
+    pub(crate) fn advance(&mut self, weight: f32, part: Option<f32>) {
+        for motor in &mut self.motors {
+            let Some(own) = &motor.plan.activation else { continue };
+            motor.mean_rate += weight * motor.rate;
+            motor.activation = match part {
+                Some(part) => motor.start + part * self.step_secs * motor.rate,
+                None => own.next(motor.start, motor.mean_rate, self.step_secs),
+            };
+        }
     }
 
-    /// Applies the torques of the next physics step to the robot. The engine's spring has the torque `-k (q - rest)`. A
-    /// weak spring with its rest at distance `torque / k` therefore adds a torque without a constraint.
+    /// Applies the torques of the next physics step to the robot.
     pub(crate) fn apply(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
+        for motor in &mut self.motors {
+            (motor.start, motor.mean_rate) = (motor.activation, 0.0);
+        }
+        self.apply_stage(robot, hinges);
+    }
+
+    /// Applies the torques of a stage of the step. The engine's spring has the torque `-k (q - rest)`. A weak spring with its
+    /// rest at distance `torque / k` therefore adds a torque without a constraint.
+    pub(crate) fn apply_stage(&mut self, robot: &mut Multibody, hinges: &[HingeMap]) {
         for (drive, hinge) in self.drives.iter_mut().zip(hinges) {
             let link = robot.link(hinge.link).expect("the layout is this robot's");
             drive.angle = hinge.position(link.joint());
@@ -202,7 +225,7 @@ impl HingeDrives {
     fn actuate(&mut self, hinges: &[HingeMap]) {
         let Self { motors, tendons, drives, .. } = self;
         for motor in motors {
-            let input = motor.step(self.step_secs);
+            let input = motor.input(self.step_secs);
             let motor = &motor.plan;
             let Some(servo) = motor.servo else {
                 for (hinge, factor) in motor.moved.0.iter() {

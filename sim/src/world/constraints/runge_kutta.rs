@@ -1,4 +1,4 @@
-//! MuJoCo's Runge-Kutta integrator: a step computes all forces four times. Activations advance once.
+//! MuJoCo's Runge-Kutta integrator: a step computes all forces four times.
 
 use rapier3d::prelude::PhysicsWorld;
 
@@ -46,6 +46,7 @@ impl Constraints {
         for (weight, part) in STAGES {
             add_scaled(mean_speeds, weight, speeds);
             add_scaled(mean_changes, weight, &self.change);
+            drives.advance(weight as f32, part.map(|part| part as f32));
             let Some(part) = part else { break };
             moving.clear();
             moving.extend(speeds.iter().map(|speed| part * speed));
@@ -56,7 +57,7 @@ impl Constraints {
                 break;
             }
             let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
-            drives.apply_again(multibody.expect("the template holds the robot"), &layout.hinges);
+            drives.apply_stage(multibody.expect("the template holds the robot"), &layout.hinges);
             self.accelerate(robot, drives, physics);
         }
         speeds.clone_from(&start.speeds);

@@ -48,7 +48,9 @@ fn motions_follow_mujocos() {
         let (mut at, reached) = (motion(&world).0, numbers(&expected["qpos"]));
         at.iter_mut().zip(world.robot().reference()).for_each(|(at, by)| *at += by);
         let off = at.iter().zip(&reached).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(off < 0.002, "{name}: {at:?} against {reached:?}");
+        let is_exact = name == "activations in a step of Runge and Kutta";
+        let most = if is_exact { 1e-5 } else { 0.002 };
+        assert!(off < most, "{name}: {at:?} against {reached:?}");
     }
 }
 
