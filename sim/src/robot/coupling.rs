@@ -98,9 +98,13 @@ impl Combination {
 impl TendonPlan {
     /// Force of its spring and damper.
     pub(crate) fn passive_force(&self, length: f32, speed: f32) -> f32 {
+        -self.stiffness * self.stretch(length) - self.damping * speed
+    }
+
+    /// How much longer than without force its spring is; negative if it is shorter.
+    pub(crate) fn stretch(&self, length: f32) -> f32 {
         let [low, high] = self.slack;
-        let stretch = if length > high { length - high } else { (length - low).min(0.0) };
-        -self.stiffness * stretch - self.damping * speed
+        if length > high { length - high } else { (length - low).min(0.0) }
     }
 }
 

@@ -5,7 +5,7 @@ use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::shape::SupportMap as _;
 
 use super::{Enforcer, World};
-use crate::robot::{Convex, GroundForm, JointPlan, LinkPlan, ShapePlan};
+use crate::robot::{Convex, GroundForm, LinkPlan, ShapePlan};
 use crate::scene::Shape;
 
 impl World {
@@ -60,14 +60,14 @@ impl World {
         heights.reduce(f32::min)
     }
 
-    /// Torque of the motors of `joint` for their last controls, N m; `None` without a motor, or if the torque of one also
-    /// depends on the robot's motion.
+    /// Torque of the motors of the hinge or slide `joint` for their last controls, N m or N; `None` without a motor, or if the
+    /// torque of one also depends on the robot's motion.
     pub fn torque(&self, joint: &str) -> Option<f32> {
-        let hinges = &self.robot.layout().hinges;
+        let joint = self.robot.hinges().position(|(name, _)| name == joint)?;
         let motors = self.robot.blueprint().motors.iter().enumerate();
         let torques = motors.filter_map(|(index, motor)| {
             let mut moved = motor.moved.0.iter();
-            let (_, factor) = moved.find(|(hinge, _)| hinges[*hinge].plan.name == joint)?;
+            let (_, factor) = moved.find(|(hinge, _)| *hinge == joint)?;
             Some(motor.torque(self.drives.control(index)).map(|torque| factor * torque))
         });
         torques.reduce(|sum, torque| Some(sum? + torque?)).flatten()
@@ -107,15 +107,19 @@ impl World {
         });
         let mut coordinates = vec![0.0; self.robot.coordinate_names().len()];
         self.coordinates(&mut coordinates);
-        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
-        let springs = links.map(|(plan, joint)| match &plan.joint {
-            JointPlan::Hinge(hinge) => {
-                let stretch = coordinates[joint.coordinate] - hinge.spring_rest;
-                f64::from(0.5 * hinge.stiffness * stretch * stretch)
-            }
-            _ => 0.0,
+        let layout = self.robot.layout();
+        let position = |hinge: usize| layout.hinge_position(hinge, &coordinates);
+        let energy = |stiffness: f32, stretch: f32| f64::from(0.5 * stiffness * stretch * stretch);
+        let joints = layout.hinges.iter().enumerate().map(|(index, hinge)| {
+            energy(hinge.plan.stiffness, position(index) - hinge.plan.spring_rest)
         });
-        weight.sum::<f64>() + springs.sum::<f64>()
+        let tendons = self
+            .robot
+            .blueprint()
+            .tendons
+            .iter()
+            .map(|tendon| energy(tendon.stiffness, tendon.stretch(tendon.moved.sum(position))));
+        weight.chain(joints).chain(tendons).sum()
     }
 
     fn mass_centres(&self) -> impl Iterator<Item = (&LinkPlan, Vector)> {

@@ -4,6 +4,19 @@ use serde_json::Value;
 
 use super::{assert_continues_bit_for_bit, motion, reference, robot, world_of};
 
+/// A ball with a spring, a hinge with a `springdamper`, and a tendon that pulls it and a slide.
+const SPRINGS: &str = "<mujoco><compiler angle=\"radian\"/><default><geom contype=\"0\" conaffinity=\"0\"/></default><worldbody>\
+    <body pos=\"0 0 1\"><joint name=\"neck\" type=\"ball\" stiffness=\"2\" pos=\"0 0 0.1\"/>\
+    <geom type=\"capsule\" size=\"0.02\" fromto=\"0 0 0 0.3 0.1 0\" mass=\"0.5\"/>\
+    <body pos=\"0.3 0.1 0\"><joint name=\"tip\" axis=\"0 1 0\" springdamper=\"0.5 0.7\" armature=\"0.01\"/>\
+    <geom size=\"0.03\" pos=\"0.1 0 0\" mass=\"0.2\"/></body></body>\
+    <body pos=\"0 1 0\"><joint name=\"slide\" type=\"slide\" axis=\"0 0 1\" ref=\"0.1\" stiffness=\"30\"/>\
+    <geom size=\"0.05\" mass=\"0.3\"/></body></worldbody>\
+    <tendon><fixed name=\"t\" stiffness=\"40\" springlength=\"0 0.1\"><joint joint=\"tip\" coef=\"0.5\"/>\
+    <joint joint=\"slide\" coef=\"1\"/></fixed></tendon>\
+    <actuator><motor joint=\"neck\" gear=\"0 2 0\" ctrlrange=\"-1 1\"/>\
+    <motor joint=\"slide\" gear=\"3\" ctrlrange=\"-1 1\"/></actuator></mujoco>";
+
 fn numbers(value: &Value) -> Vec<f32> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap() as f32).collect()
 }
@@ -52,6 +65,24 @@ fn motions_follow_mujocos() {
         let most = if is_exact { 1e-5 } else { 0.002 };
         assert!(off < most, "{name}: {at:?} against {reached:?}");
     }
+}
+
+/// MuJoCo 4.0.0: the sum of `energy` after `mj_energyPos` and `mj_energyVel`, with a stretched and with a compressed tendon.
+#[test]
+fn the_energy_is_mujocos_with_springs_of_balls_tendons_and_springdampers() {
+    let mut world = world_of(SPRINGS);
+    for (slide, expected) in [(0.3, 20.621_95), (-0.4, 10.311_85)] {
+        world.rebuild(&[0.8, 0.4, -0.2, 0.4, 0.6, slide], &[1.0, -2.0, 0.5, 3.0, 0.7]);
+        let energy = world.mechanical_energy();
+        assert!((energy - expected).abs() < 2e-5, "{slide}: {energy}");
+    }
+}
+
+#[test]
+fn a_motors_torque_is_that_of_a_hinge_or_slide_not_of_a_part_of_a_ball() {
+    let mut world = world_of(SPRINGS);
+    world.command(&[0.5, 0.5]);
+    assert_eq!(["slide", "tip", "neck"].map(|joint| world.torque(joint)), [Some(1.5), None, None]);
 }
 
 #[test]
