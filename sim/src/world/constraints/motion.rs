@@ -22,9 +22,7 @@ pub(super) struct Motion {
     pub(super) links: Vec<LinkMotion>,
     /// Positions of the hinges in the model's direction, m or rad.
     pub(super) hinges: Vec<f64>,
-    /// A point near the robot.
-    origin: DVec3,
-    /// For each velocity, the linear velocity at the origin and the angular velocity that it gives a link and its children.
+    /// For each velocity, the linear velocity at the tree's origin and the angular velocity that it gives a link and its children.
     twists: Vec<[DVec3; 2]>,
 }
 
@@ -34,7 +32,10 @@ pub(super) struct LinkMotion {
     dofs: Vec<usize>,
     /// Number of its own.
     own: usize,
+    /// Its parent, if that moves.
     parent: Option<usize>,
+    /// The origin of its tree: the frame of the first link. A distant one of another tree would round what happens here.
+    origin: DVec3,
     pub(super) pose: Pose,
     pub(super) mass_centre: DVec3,
     pub(super) joint: MultibodyJoint,
@@ -77,18 +78,18 @@ impl Motion {
         self.speeds.extend(multibody.generalized_velocity().iter().map(|speed| f64::from(*speed)));
         self.twists.clear();
         self.twists.resize(self.speeds.len(), [DVec3::ZERO; 2]);
-        let first = multibody.link(layout.joints[0].link).expect("the layout is this robot's");
-        self.origin = wide(first.local_to_world().translation);
         for (index, (plan, map)) in blueprint.links.iter().zip(&layout.joints).enumerate() {
             let (before, rest) = self.links.split_at_mut(index);
-            let (link, parent) = (&mut rest[0], plan.parent.map(|parent| &before[parent]));
+            let link = &mut rest[0];
+            let parent = link.parent.map(|parent| &before[parent]);
             link.read(map, multibody, &physics.bodies);
             link.pull[0] += link.weight * wide(physics.gravity);
-            let arm = link.mass_centre - self.origin;
+            link.origin = parent.map_or(wide(link.pose.translation), |parent| parent.origin);
+            let arm = link.mass_centre - link.origin;
             let jacobian = multibody.body_jacobian(map.link);
             let mut twist = parent.map_or([DVec3::ZERO; 2], |parent| {
                 let [velocity, spin] = parent.velocity;
-                [velocity - spin.cross(parent.mass_centre - self.origin), spin]
+                [velocity - spin.cross(parent.mass_centre - parent.origin), spin]
             });
             for dof in &link.dofs[link.dofs.len() - link.own..] {
                 let column = jacobian.column(*dof);
@@ -115,7 +116,7 @@ impl Motion {
     /// Computes the branches.
     fn gather(&mut self) {
         for link in &mut self.links {
-            link.branch = link.alone(link.mass_centre - self.origin);
+            link.branch = link.alone(link.mass_centre - link.origin);
         }
         for index in (0..self.links.len()).rev() {
             if let Some(parent) = self.links[index].parent {
@@ -171,7 +172,7 @@ impl Motion {
         [force, torque]: [DVec3; 2],
         factor: f64,
     ) {
-        let wrench = [force, torque + (point - self.origin).cross(force)];
+        let wrench = [force, torque + (point - link.origin).cross(force)];
         for dof in &link.dofs {
             let twist = self.twists[*dof];
             let lever = product(twist, wrench);
@@ -185,12 +186,14 @@ impl Motion {
 /// Memory for the links of a robot.
 fn links_of(robot: &Robot, multibody: &Multibody) -> Vec<LinkMotion> {
     let mut links: Vec<LinkMotion> = Vec::new();
-    for (plan, map) in robot.blueprint().links.iter().zip(&robot.layout().joints) {
+    let plans = &robot.blueprint().links;
+    for (plan, map) in plans.iter().zip(&robot.layout().joints) {
         let link = multibody.link(map.link).expect("the layout is this robot's");
         let own = link.joint().ndofs();
-        let mut dofs = plan.parent.map_or(Vec::new(), |parent| links[parent].dofs.clone());
+        let parent = plan.parent.filter(|parent| !plans[*parent].is_base());
+        let mut dofs = parent.map_or(Vec::new(), |parent| links[parent].dofs.clone());
         dofs.extend(map.dof..map.dof + own);
-        links.push(LinkMotion::new(*link.joint(), dofs, own, plan.parent));
+        links.push(LinkMotion::new(*link.joint(), dofs, own, parent));
     }
     links
 }
@@ -201,6 +204,7 @@ impl LinkMotion {
             dofs,
             own,
             parent,
+            origin: DVec3::ZERO,
             pose: Pose::IDENTITY,
             mass_centre: DVec3::ZERO,
             joint,

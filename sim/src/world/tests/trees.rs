@@ -54,6 +54,26 @@ fn coordinates_have_the_order_of_the_bodies_and_the_root_is_that_of_the_first_dr
 }
 
 #[test]
+fn a_distant_object_does_not_change_a_robot() {
+    let finger = |distance: f32| {
+        let object =
+            format!("<body pos=\"{distance} 0 1\"><freejoint/><geom size=\"0.1\"/></body>");
+        let bodies = format!(
+            "{object}<body pos=\"0 0 1\"><joint name=\"a\" axis=\"0 1 0\"/>\
+             <geom type=\"capsule\" size=\"0.01\" fromto=\"0 0 0 0.04 0.01 0\" mass=\"0.004\"/>\
+             <body pos=\"0.04 0.01 0\"><joint name=\"b\" axis=\"1 0 1\"/>\
+             <geom type=\"capsule\" size=\"0.01\" fromto=\"0 0 0 0.03 0 0.01\" mass=\"0.004\"/></body></body>"
+        );
+        let mut world = world_of(&document(&bodies, ""));
+        for _ in 0..300 {
+            assert!(world.step(&[]));
+        }
+        motion(&world).0[7..].to_vec()
+    };
+    assert_eq!(finger(10_000.0), finger(1.0));
+}
+
+#[test]
 fn links_of_different_trees_touch_without_self_contacts() {
     let physics = Physics { self_contacts: Some(false), ..Physics::default() };
     let robot = robot_with(&document(PLATE, TILT), physics, &|path| Err(path.to_owned())).unwrap();
