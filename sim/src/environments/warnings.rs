@@ -1,4 +1,5 @@
-//! Warnings about a task that can be built but hardly be learnt: its motors, its floor, and its start.
+//! Warnings about a task that can be built but hardly be learnt: its motors, its floor, its start, and whom its reward
+//! means.
 
 use std::sync::Arc;
 
@@ -21,7 +22,20 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules) -> Vec<String> {
     let mut warnings = robot.hard_to_explore();
     warnings.extend(floor(robot, &world));
     warnings.extend(limits(robot, &coordinates));
+    warnings.extend(unnamed(robot, rules));
     warnings
+}
+
+/// Says whose root is read if several robots have motors.
+fn unnamed(robot: &Robot, rules: &Rules) -> Option<String> {
+    let root = &robot.blueprint().links[robot.layout().root].name;
+    let is_ambiguous = robot.driven_trees().len() > 1 && !rules.of_root().is_empty();
+    is_ambiguous.then(|| {
+        let readers = rules.of_root().join(", ");
+        format!(
+            "several robots have motors: {readers} read that of `{root}`; name a body by `of`, or a `coordinate`"
+        )
+    })
 }
 
 fn floor(robot: &Robot, world: &World) -> Option<String> {

@@ -1,4 +1,4 @@
-//! Commands: a target velocity of the root, drawn per episode, which the agents observe and the reward can follow.
+//! Commands: a target velocity of the root or another body, drawn per episode, which the agents observe and the reward can follow.
 
 use proto::{FeatureRole, FeatureSpec};
 use serde::Deserialize;
@@ -6,9 +6,10 @@ use serde::Deserialize;
 use super::Motion;
 use super::definition::refused;
 use super::disturbance::ascending;
+use super::names::Names;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
-use crate::robot::{JointMap, MapKind, Orientation, Robot};
+use crate::robot::{JointMap, MapKind, Orientation, Place, PlaceMotion, Robot};
 
 /// Largest target, m/s or rad/s.
 const FASTEST_COMMAND: f32 = 100.0;
@@ -17,7 +18,9 @@ const FASTEST_COMMAND: f32 = 100.0;
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct CommandRow {
-    /// m/s along the root's x axis, projected onto the ground.
+    /// Body whose velocity follows the target; absent: the root.
+    pub(super) of: Option<String>,
+    /// m/s along its x axis, projected onto the ground.
     forward: Option<[f32; 2]>,
     /// m/s to the left of it.
     sideways: Option<[f32; 2]>,
@@ -29,7 +32,7 @@ pub(crate) struct CommandRow {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Heading {
-    /// Along the root's x axis, projected onto the ground.
+    /// Along the body's x axis, projected onto the ground.
     Forward,
     /// To the left of it.
     Sideways,
@@ -42,16 +45,17 @@ pub(crate) enum Heading {
 pub(crate) struct CommandRanges {
     /// Components in the order of their features, with their ranges, m/s or rad/s, `[C]`.
     components: Vec<(Heading, [f32; 2])>,
-    root: RootMotion,
+    follower: Follower,
 }
 
-/// Coordinates and velocities that determine the motion of the root.
-#[derive(Clone, Copy, Debug)]
-enum RootMotion {
-    /// In the plane of x and z; the value is the index of its velocity along x.
+/// What determines the motion of the body that follows a command.
+#[derive(Clone, Debug)]
+enum Follower {
+    /// A root in the plane of x and z; the value is the index of its velocity along x.
     Planar(usize),
-    /// Free, with this orientation.
+    /// A free root with this orientation.
     Free(Orientation),
+    Body(Place),
 }
 
 impl Heading {
@@ -61,6 +65,41 @@ impl Heading {
             Self::Sideways => "sideways",
             Self::Yaw => "yaw",
         }
+    }
+}
+
+impl Follower {
+    /// The body that the key `of` at `place` names, or the robot's root; refuses components that it cannot follow.
+    fn new(
+        place: &str,
+        of: Option<&str>,
+        robot: &Robot,
+        components: &[(Heading, [f32; 2])],
+    ) -> Result<Self, SimError> {
+        let body = |name| Names::new("body", robot.bodies()).index(&format!("{place}.of"), name);
+        let body = of.map(body).transpose()?;
+        let tree = body.map_or(Some(robot.layout().root), |body| robot.tree_of_body(body));
+        let root = tree.map(|link| robot.layout().joints[link]);
+        let follower = match root {
+            Some(JointMap {
+                kind: MapKind::Free | MapKind::Floating,
+                coordinate,
+                velocity,
+                ..
+            }) => Self::Free(Orientation { coordinate: coordinate + 3, velocity: velocity + 3 }),
+            Some(JointMap { velocity, kind, .. })
+                if kind == MapKind::Planar || components.is_empty() =>
+            {
+                Self::Planar(velocity)
+            }
+            _ => return Err(refused(format!("{place} needs a robot with a free or planar root"))),
+        };
+        let turns = components.iter().find(|(heading, _)| *heading != Heading::Forward);
+        if let (Self::Planar(_), Some((heading, _))) = (&follower, turns) {
+            let why = "needs a robot with a free joint; this one moves in a plane";
+            return Err(refused(format!("command.{} {why}", heading.word())));
+        }
+        Ok(body.map_or(follower, |body| Self::Body(robot.place(body))))
     }
 }
 
@@ -77,23 +116,14 @@ impl CommandRanges {
             let bounds = [-FASTEST_COMMAND, FASTEST_COMMAND];
             ascending(&format!("command.{}", heading.word()), *range, bounds)?;
         }
-        let JointMap { kind, coordinate, velocity, .. } = *robot.layout().root_joint();
-        let root = match kind {
-            MapKind::Free | MapKind::Floating => {
-                RootMotion::Free(Orientation { coordinate: coordinate + 3, velocity: velocity + 3 })
-            }
-            MapKind::Planar => RootMotion::Planar(velocity),
-            _ if components.is_empty() => RootMotion::Planar(velocity),
-            _ => return Err(refused("[command] needs a robot with a free or planar root")),
-        };
-        let turns = components.iter().find(|(heading, _)| *heading != Heading::Forward);
-        match (root, turns) {
-            (RootMotion::Planar(_), Some((heading, _))) => {
-                let why = "needs a robot with a free joint; this one moves in a plane";
-                Err(refused(format!("command.{} {why}", heading.word())))
-            }
-            _ => Ok(Self { components, root }),
-        }
+        let follower = Follower::new("command", row.of.as_deref(), robot, &components)?;
+        Ok(Self { components, follower })
+    }
+
+    /// The command as the body that a term at `place` names follows it.
+    pub(super) fn of(&self, place: &str, body: &str, robot: &Robot) -> Result<Self, SimError> {
+        let follower = Follower::new(place, Some(body), robot, &self.components)?;
+        Ok(Self { components: self.components.clone(), follower })
     }
 
     /// Whether the task states no command.
@@ -135,26 +165,34 @@ impl CommandRanges {
         self.components.iter().map(line).collect()
     }
 
-    /// The robot's own velocity along a component, m/s or rad/s. Forward is the root's x axis projected onto the ground;
-    /// a root whose x axis is vertical has no forward speed.
+    /// The body's own velocity along a component, m/s or rad/s. Forward is its x axis projected onto the ground; a body whose x
+    /// axis is vertical has no forward speed.
     pub(super) fn velocity(&self, heading: Heading, motion: &Motion<'_>) -> f32 {
-        let Orientation { coordinate, velocity } = match self.root {
-            RootMotion::Planar(along) => return motion.velocities[along],
-            RootMotion::Free(orientation) => orientation,
+        let (rotation, [along_x, along_y, yaw]) = match &self.follower {
+            Follower::Planar(along) => return motion.velocities[*along],
+            Follower::Free(orientation) => {
+                let velocities = &motion.velocities[orientation.velocity - 3..];
+                let rotation = orientation.rotation(motion.coordinates);
+                (rotation.to_array(), [velocities[0], velocities[1], velocities[5]])
+            }
+            Follower::Body(place) => {
+                let PlaceMotion { rotation, velocity, spin, .. } = motion.of(place);
+                let speeds = [velocity.x, velocity.y, spin.z].map(|speed| speed as f32);
+                (rotation.to_array().map(|part| part as f32), speeds)
+            }
         };
-        let velocities = &motion.velocities[velocity - 3..];
         if heading == Heading::Yaw {
-            return velocities[5];
+            return yaw;
         }
-        let [w, x, y, z] = std::array::from_fn(|k| motion.coordinates[coordinate + k]);
+        let [x, y, z, w] = rotation;
         let (ahead, aside) = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z));
         let length = (ahead * ahead + aside * aside).sqrt();
         if length == 0.0 {
             return 0.0;
         }
         let along = match heading {
-            Heading::Forward => velocities[0] * ahead + velocities[1] * aside,
-            _ => velocities[1] * ahead - velocities[0] * aside,
+            Heading::Forward => along_x * ahead + along_y * aside,
+            _ => along_y * ahead - along_x * aside,
         };
         along / length
     }

@@ -80,7 +80,7 @@ pub(crate) struct TermRow {
     pub(crate) components: Option<Vec<Heading>>,
     /// Error of `velocity_tracking`, m/s or rad/s, or distance, m, at which the term is `1 / e`.
     pub(crate) sigma: Option<f32>,
-    /// Body that a term measures.
+    /// Body that a term measures; absent for `upright`: the root, for `velocity_tracking`: that of the command.
     pub(crate) of: Option<String>,
     /// Body or point that `distance` and `approach` measure to.
     pub(crate) to: Option<Goal>,
@@ -131,6 +131,8 @@ pub(crate) struct HealthyRow {
     pub(crate) coordinate: Option<String>,
     /// A feature of the global state, or `upright`.
     pub(crate) feature: Option<String>,
+    /// Body that `upright` measures; absent: the root.
+    pub(crate) of: Option<String>,
     /// Lower bound, excluded.
     pub(crate) above: Option<f32>,
     /// Lower bound, included.

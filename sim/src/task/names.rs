@@ -2,7 +2,7 @@
 
 use super::definition::refused;
 use crate::error::SimError;
-use crate::robot::Robot;
+use crate::robot::{Place, Robot};
 use crate::spelling;
 
 /// Most names that a message lists.
@@ -35,6 +35,11 @@ impl<'a> Names<'a> {
             let known = self.list();
             refused(format!("{place}: the robot has no {} `{name}`{hint}; {known}", self.kind))
         })
+    }
+
+    /// The body with this name, which the key `place` states.
+    pub(super) fn body(robot: &Robot, place: &str, name: &str) -> Result<Place, SimError> {
+        Names::new("body", robot.bodies()).index(place, name).map(|index| robot.place(index))
     }
 
     /// What is known, for messages.

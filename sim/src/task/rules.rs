@@ -6,26 +6,28 @@ use rapier3d::math::Vector;
 
 use super::Motion;
 use super::command::CommandRanges;
-use super::definition::{Audience, HealthyRow, LARGEST_NUMBER, TaskFile, refused, within};
+use super::definition::{
+    Audience, HealthyRow, LARGEST_NUMBER, TaskFile, TermName, TermRow, refused, within,
+};
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
 use super::relations::{RelationFeature, Relations};
 use super::start::Start;
-use super::terms::{self, RootTilt, Transition, WeightedSum};
+use super::terms::{self, Tilt, Transition, WeightedSum};
 use crate::error::SimError;
 use crate::robot::{Orientation, Robot};
 use crate::state::EpisodeDraws;
 use crate::world::World;
 
 /// A number that ends an episode.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 enum Watched {
     /// Index of a coordinate.
     Coordinate(usize),
     /// Index of a feature of the global state.
     Feature(usize),
-    /// Cosine of the root's tilt.
-    Upright(RootTilt),
+    /// Cosine of a tilt.
+    Upright(Tilt),
 }
 
 /// Rules of an episode, with all names resolved to indices.
@@ -50,6 +52,8 @@ pub(crate) struct Rules {
     audience: Audience,
     /// Number of features that describe the disturbances.
     described: usize,
+    /// What reads the root, since it names no body or coordinate.
+    of_root: Vec<String>,
 }
 
 impl Rules {
@@ -82,6 +86,7 @@ impl Rules {
             },
             disturbance,
             audience: file.state.disturbances,
+            of_root: of_root(file),
         };
         if let Some(largest) = rules.largest_velocity {
             within("state.largest_velocity", largest, 1e-3, 1e6)?;
@@ -125,10 +130,10 @@ impl Rules {
     /// Whether the episode terminates for a reason other than its length: a number has left its healthy range. `state` is
     /// the global state.
     pub(crate) fn terminated(&self, after: &Motion<'_>, state: &[f32]) -> bool {
-        let value = |watched: &Watched| match *watched {
-            Watched::Coordinate(index) => after.position(index),
-            Watched::Feature(index) => state[index],
-            Watched::Upright(root) => terms::upright(after, root),
+        let value = |watched: &Watched| match watched {
+            Watched::Coordinate(index) => after.position(*index),
+            Watched::Feature(index) => state[*index],
+            Watched::Upright(tilt) => terms::upright(after, tilt),
         };
         !self.healthy.iter().all(|(watched, row)| row.holds(value(watched)))
     }
@@ -136,6 +141,11 @@ impl Rules {
     /// Whether contact forces can be observed.
     pub(crate) fn feels_contacts(&self) -> bool {
         self.contact_forces
+    }
+
+    /// What reads the root, since it names no body or coordinate.
+    pub(crate) fn of_root(&self) -> &[String] {
+        &self.of_root
     }
 
     /// Whether the reward depends on the actions of the step before.
@@ -250,19 +260,41 @@ fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> V
     names.map(|name| FeatureSpec { name, role: FeatureRole::Signal }).collect()
 }
 
+/// What reads the root of the robot, since it names no body or coordinate.
+fn of_root(file: &TaskFile) -> Vec<String> {
+    let reads = |row: &&TermRow| match row.term {
+        TermName::Upright => row.of.is_none(),
+        TermName::VelocityTracking => row.of.is_none() && file.command.of.is_none(),
+        TermName::ForwardSpeed => row.coordinate.is_none(),
+        _ => false,
+    };
+    let of = |key: &'static str, rows: &[TermRow]| {
+        let reading = rows.iter().filter(reads);
+        reading.map(|row| format!("`{key}.{}`", row.term.word())).collect::<Vec<_>>()
+    };
+    let is_upright =
+        |row: &&HealthyRow| row.feature.as_deref() == Some("upright") && row.of.is_none();
+    let healthy = file.healthy.iter().filter(is_upright).map(|_| "`healthy.upright`".to_owned());
+    [of("reward", &file.reward), of("cost", &file.cost), healthy.collect()].concat()
+}
+
 /// Refuses a condition without bounds, or one that no value meets.
 fn checked_healthy(
     row: &HealthyRow,
     robot: &Robot,
     features: &[String],
 ) -> Result<(Watched, HealthyRow), SimError> {
+    if row.of.is_some() && row.feature.as_deref() != Some("upright") {
+        return Err(refused("healthy has the key `of` only with `feature = \"upright\"`"));
+    }
     let (watched, name) = match (&row.coordinate, &row.feature) {
         (Some(name), None) => {
             let index = Names::coordinates(robot).index("healthy.coordinate", name)?;
             (Watched::Coordinate(index), name)
         }
         (None, Some(name)) if name == "upright" => {
-            (Watched::Upright(terms::root_tilt("healthy.upright", robot)?), name)
+            let tilt = Tilt::new("healthy.upright", row.of.as_deref(), robot)?;
+            (Watched::Upright(tilt), name)
         }
         (None, Some(name)) => {
             let names = Names::new("feature in its global state", features);

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use rapier3d::glamx::DVec3;
+
 use super::Motion;
 use super::body_terms::BodyTerm;
 use super::command::{CommandRanges, Heading};
@@ -9,7 +11,7 @@ use super::definition::{LARGEST_NUMBER, TermName, TermRow, check_repeats, refuse
 use super::disturbance::ascending;
 use super::names::Names;
 use crate::error::SimError;
-use crate::robot::{MapKind, Robot};
+use crate::robot::{MapKind, Place, Robot};
 
 /// One step of an environment.
 pub(crate) struct Transition<'a> {
@@ -37,7 +39,7 @@ enum Term {
     Alive,
     Control,
     TargetDistance { target: Vec<(usize, f32)> },
-    Upright { root: RootTilt },
+    Upright { tilt: Tilt },
     InRange { coordinate: usize, range: [f32; 2] },
     ActionRate,
     VelocityTracking { command: CommandRanges, components: Vec<(usize, Heading)>, sigma: f32 },
@@ -45,13 +47,14 @@ enum Term {
     Body(BodyTerm),
 }
 
-/// Coordinates that determine the tilt of the root.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum RootTilt {
-    /// Index of the rotation about y.
+/// What determines the tilt of the root or another body.
+#[derive(Clone, Debug)]
+pub(super) enum Tilt {
+    /// Index of a root's rotation about y.
     Planar(usize),
-    /// Index of the quaternion (w x y z).
+    /// Index of a root's quaternion (w x y z).
     Free(usize),
+    Body(Place),
 }
 
 /// `(x' - x) / dt`: mean speed along a coordinate during the step, m/s or rad/s. Without a `coordinate`, the first one
@@ -82,14 +85,15 @@ pub(super) fn target_distance(step: &Transition<'_>, target: &[(usize, f32)]) ->
     target.iter().map(offset).map(|offset| offset * offset).sum::<f32>().sqrt()
 }
 
-/// Cosine of the angle between the root's z axis and the vertical after the step: 1 upright, -1 upside down; no unit.
-pub(super) fn upright(motion: &Motion<'_>, root: RootTilt) -> f32 {
-    match root {
-        RootTilt::Planar(pitch) => libm::cosf(motion.position(pitch)),
-        RootTilt::Free(quaternion) => {
+/// Cosine of the angle between a body's z axis and the vertical after the step: 1 upright, -1 upside down; no unit.
+pub(super) fn upright(motion: &Motion<'_>, tilt: &Tilt) -> f32 {
+    match tilt {
+        Tilt::Planar(pitch) => libm::cosf(motion.position(*pitch)),
+        Tilt::Free(quaternion) => {
             let [x, y] = [1, 2].map(|k| motion.position(quaternion + k));
             1.0 - 2.0 * (x * x + y * y)
         }
+        Tilt::Body(place) => (motion.of(place).rotation * DVec3::Z).z as f32,
     }
 }
 
@@ -105,7 +109,7 @@ pub(super) fn action_rate(step: &Transition<'_>) -> f32 {
     changes.map(|(now, last)| (now - last) * (now - last)).sum()
 }
 
-/// `exp(-sum (v - c)^2 / sigma^2)` over components of the command `c`, with the root's velocity `v` after the step in
+/// `exp(-sum (v - c)^2 / sigma^2)` over components of the command `c`, with the follower's velocity `v` after the step in
 /// its own heading ([`CommandRanges::velocity`]): 1 at the target; no unit. `components` has indices in the command.
 /// This is the tracking reward of legged-robot work, such as legged_gym's `tracking_lin_vel`, whose `tracking_sigma` is
 /// `sigma^2`.
@@ -133,7 +137,7 @@ impl Term {
             Self::Alive => alive(),
             Self::Control => control(step),
             Self::TargetDistance { target } => target_distance(step, target),
-            Self::Upright { root } => upright(&step.after, *root),
+            Self::Upright { tilt } => upright(&step.after, tilt),
             Self::InRange { coordinate, range } => in_range(step, *coordinate, *range),
             Self::ActionRate => action_rate(step),
             Self::VelocityTracking { command, components, sigma } => {
@@ -183,7 +187,7 @@ impl WeightedSum {
 }
 
 impl TermName {
-    fn word(self) -> &'static str {
+    pub(super) fn word(self) -> &'static str {
         match self {
             Self::ForwardSpeed => "forward_speed",
             Self::Alive => "alive",
@@ -208,17 +212,13 @@ impl TermName {
             Self::ForwardSpeed => &["coordinate"],
             Self::InRange => &["coordinate", "range"],
             Self::TargetDistance => &["target"],
-            Self::VelocityTracking => &["components", "sigma"],
+            Self::VelocityTracking => &["components", "sigma", "of"],
             Self::Distance => &["of", "to", "along", "sigma"],
             Self::Approach => &["of", "to", "along"],
             Self::Progress => &["of", "along"],
-            Self::Height => &["of"],
+            Self::Height | Self::Upright => &["of"],
             Self::Spread => &["bodies"],
-            Self::Alive
-            | Self::Control
-            | Self::Upright
-            | Self::ActionRate
-            | Self::MassCentreSpeed => &[],
+            Self::Alive | Self::Control | Self::ActionRate | Self::MassCentreSpeed => &[],
         }
     }
 }
@@ -258,7 +258,7 @@ fn term(
             let target = row.target.as_ref().ok_or_else(|| missing("target"))?;
             Term::TargetDistance { target: resolved_target(place, target, names)? }
         }
-        TermName::Upright => Term::Upright { root: root_tilt(place, robot)? },
+        TermName::Upright => Term::Upright { tilt: Tilt::new(place, row.of.as_deref(), robot)? },
         TermName::InRange => Term::InRange {
             coordinate: coordinate.ok_or_else(|| missing("coordinate"))?,
             range: {
@@ -274,7 +274,9 @@ fn term(
             let sigma = row.sigma.ok_or_else(|| missing("sigma"))?;
             within(&format!("{place}.sigma"), sigma, 1e-3, 1e3)?;
             let components = followed(place, row.components.as_deref(), command)?;
-            Term::VelocityTracking { command: command.clone(), components, sigma }
+            let own = row.of.as_ref().map(|body| command.of(place, body, robot)).transpose()?;
+            let command = own.unwrap_or_else(|| command.clone());
+            Term::VelocityTracking { command, components, sigma }
         }
         TermName::Distance
         | TermName::Approach
@@ -319,13 +321,19 @@ fn resolved_target(
     target.iter().map(resolve).collect()
 }
 
-pub(super) fn root_tilt(place: &str, robot: &Robot) -> Result<RootTilt, SimError> {
-    let root = robot.layout().root_joint();
-    match root.kind {
-        MapKind::Free | MapKind::Floating => Ok(RootTilt::Free(root.coordinate + 3)),
-        MapKind::Planar => Ok(RootTilt::Planar(root.coordinate + 2)),
-        MapKind::Fixed | MapKind::Hinge { .. } | MapKind::Ball => {
-            Err(refused(format!("{place} needs a root that can tilt")))
+impl Tilt {
+    /// The tilt of the body that the key `of` at `place` names, or of the robot's root.
+    pub(super) fn new(place: &str, of: Option<&str>, robot: &Robot) -> Result<Self, SimError> {
+        if let Some(name) = of {
+            return Names::body(robot, &format!("{place}.of"), name).map(Self::Body);
+        }
+        let root = robot.layout().root_joint();
+        match root.kind {
+            MapKind::Free | MapKind::Floating => Ok(Self::Free(root.coordinate + 3)),
+            MapKind::Planar => Ok(Self::Planar(root.coordinate + 2)),
+            MapKind::Fixed | MapKind::Hinge { .. } | MapKind::Ball => {
+                Err(refused(format!("{place} needs a root that can tilt; name a body with `of`")))
+            }
         }
     }
 }

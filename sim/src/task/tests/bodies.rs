@@ -116,10 +116,29 @@ fn terms_of_bodies_have_their_formulas() {
         ("term = \"progress\"\nof = \"left\"", 1.0),
         ("term = \"height\"\nof = \"ball\"", 0.1),
         ("term = \"spread\"\nbodies = [\"ball\", \"goal\", \"world\"]", spread),
+        ("term = \"upright\"\nof = \"ball\"", 1.0),
+        // The ball turns by 0.2 rad.
+        (
+            "term = \"velocity_tracking\"\nsigma = 0.5\n[command]\nof = \"ball\"\nforward = [0, 0]\nsideways = [3, 3]",
+            libm::expf(-18.0 * (1.0 - libm::cosf(0.2)) / 0.25),
+        ),
     ] {
         let found = reward(term);
         assert!((found - expected).abs() < 1e-5, "{term}: {found}");
     }
+}
+
+#[test]
+fn a_term_of_the_root_is_a_warning_if_several_robots_have_motors() {
+    let warnings = |term: &str| {
+        let lines = format!("[[reward]]\nweight = 1.0\nterm = {term}\n");
+        team(&lines, ObservationMode::FullId).unwrap().warnings().concat()
+    };
+    let warned = warnings("\"forward_speed\"");
+    let expected = "several robots have motors: `reward.forward_speed` read that of `left.left_x`; name a body";
+    assert!(warned.contains(expected), "{warned}");
+    let named = warnings("\"forward_speed\"\ncoordinate = \"right_x\"");
+    assert!(!named.contains("several robots"), "{named}");
 }
 
 #[test]
@@ -183,6 +202,15 @@ fn invalid_rows_of_bodies_are_refused_with_their_key() {
             "reward.spread.bodies must name at least two bodies",
         ),
         (term("term = \"alive\"\nof = \"ball\""), "reward.alive has no key `of`"),
+        (
+            term("term = \"upright\"\nof = \"cup\""),
+            "reward.upright.of: the robot has no body `cup`",
+        ),
+        (term("term = \"upright\""), "reward.upright needs a root that can tilt; name a body"),
+        (
+            "[[healthy]]\ncoordinate = \"ball.x\"\nof = \"ball\"\nabove = 0\n".to_owned(),
+            "healthy has the key `of` only with `feature = \"upright\"`",
+        ),
         (
             "[start.noise]\n\"ball.w\" = { uniform = 0.1 }\n".to_owned(),
             "start.noise: the robot has no coordinate `ball.w`",

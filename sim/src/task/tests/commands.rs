@@ -6,6 +6,7 @@ use crate::environment_batch::Disturbances;
 use crate::robot::Robot;
 use crate::task::Motion;
 use crate::task::command::{CommandRanges, CommandRow, Heading};
+use crate::task::terms::{Tilt, upright};
 
 const FORWARD: &str = "\n[command]\nforward = [0.5, 2.0]\n";
 
@@ -62,34 +63,42 @@ fn velocity_tracking_is_the_exponential_of_the_squared_error() {
     }
 }
 
-/// Velocity of an Ant whose root has this orientation (w x y z), moves at (1, 2, 0) m/s in the world and turns at 3 rad/s.
-fn velocities(quaternion: [f32; 4]) -> [f32; 3] {
+/// Velocity and cosine of the tilt of an Ant's root, or of this body, if the root has this orientation (w x y z), moves at
+/// (1, 2, 0) m/s in the world and turns at 3 rad/s.
+fn velocities(quaternion: [f32; 4], of: Option<&str>) -> ([f32; 3], f32) {
     let robot = Robot::of_task("ant-2x4").unwrap();
     let row: CommandRow =
         toml::from_str("forward = [0, 1]\nsideways = [0, 1]\nyaw = [0, 1]").unwrap();
     let command = CommandRanges::new(&row, &robot).unwrap();
+    let command = of.map_or(command.clone(), |body| command.of("term", body, &robot).unwrap());
     let mut coordinates = robot.rest().to_vec();
     coordinates[3..7].copy_from_slice(&quaternion);
     let mut velocities = vec![0.0; robot.velocity_names().len()];
     velocities[..6].copy_from_slice(&[1.0, 2.0, 0.0, 0.0, 0.0, 3.0]);
     let motion =
         Motion { coordinates: &coordinates, reference: robot.reference(), velocities: &velocities };
-    [Heading::Forward, Heading::Sideways, Heading::Yaw].map(|part| command.velocity(part, &motion))
+    let headings = [Heading::Forward, Heading::Sideways, Heading::Yaw];
+    let tilt = upright(&motion, &Tilt::new("term", of, &robot).unwrap());
+    (headings.map(|part| command.velocity(part, &motion)), tilt)
 }
 
 #[test]
-fn a_free_roots_velocity_is_that_in_its_heading() {
+fn a_bodys_velocity_is_that_in_its_heading_and_its_tilt_that_of_its_z_axis() {
     let half = std::f32::consts::FRAC_1_SQRT_2;
     let sine = 0.75_f32.sqrt();
-    for (quaternion, expected) in [
-        ([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0]),
+    for (quaternion, expected, cosine) in [
+        ([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0], 1.0),
         // Turned by 90 degrees to the left, it faces along y, and x is to its right.
-        ([half, 0.0, 0.0, half], [2.0, -1.0, 3.0]),
+        ([half, 0.0, 0.0, half], [2.0, -1.0, 3.0], 1.0),
         // Pitched by 60 degrees, it still faces along x.
-        ([sine, 0.0, 0.5, 0.0], [1.0, 2.0, 3.0]),
+        ([sine, 0.0, 0.5, 0.0], [1.0, 2.0, 3.0], 0.5),
     ] {
-        for (velocity, expected) in velocities(quaternion).iter().zip(expected) {
-            assert!((velocity - expected).abs() < 1e-5, "{quaternion:?}: {velocity}");
+        for of in [None, Some("torso")] {
+            let (velocities, tilt) = velocities(quaternion, of);
+            for (velocity, expected) in velocities.iter().zip(expected) {
+                assert!((velocity - expected).abs() < 1e-5, "{quaternion:?} {of:?}: {velocity}");
+            }
+            assert!((tilt - cosine).abs() < 1e-6, "{quaternion:?} {of:?}: {tilt}");
         }
     }
 }
@@ -115,6 +124,16 @@ fn invalid_commands_and_terms_are_refused_with_their_key() {
             "term = \"velocity_tracking\"\nsigma = 0.5",
             "",
             "reward.velocity_tracking follows nothing: state a range in [command]",
+        ),
+        (
+            "term = \"velocity_tracking\"\nsigma = 0.5\nof = \"torsoo\"",
+            FORWARD,
+            "reward.velocity_tracking.of: the robot has no body `torsoo`; did you mean `torso`?",
+        ),
+        (
+            "term = \"alive\"",
+            "[command]\nof = \"world\"\nforward = [0, 1]",
+            "command needs a robot with a free or planar root",
         ),
         (
             "term = \"velocity_tracking\"\nsigma = 0.5\ncomponents = [\"yaw\"]",
