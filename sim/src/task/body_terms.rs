@@ -1,5 +1,6 @@
 //! Terms of a reward about bodies: objects, targets, and robots of a team.
 
+use rapier3d::glamx::DVec3;
 use serde::Deserialize;
 
 use super::Motion;
@@ -37,7 +38,11 @@ pub(super) enum BodyTerm {
 
 /// `sqrt(sum (a - b)^2)` over the axes `along`: distance of two bodies' origins after the step, m.
 pub(super) fn distance(motion: &Motion<'_>, [a, b]: [&Place; 2], along: &[WorldAxis]) -> f32 {
-    let offset = motion.of(a).position - motion.of(b).position;
+    length(motion.of(a).position - motion.of(b).position, along)
+}
+
+/// `sqrt(sum v^2)` over the axes `along`, m.
+fn length(offset: DVec3, along: &[WorldAxis]) -> f32 {
     let squares = along.iter().map(|axis| offset[*axis as usize] * offset[*axis as usize]);
     squares.sum::<f64>().sqrt() as f32
 }
@@ -68,8 +73,9 @@ pub(super) fn height(motion: &Motion<'_>, of: &Place) -> f32 {
 
 /// `sum_{i<j} |p_i - p_j| / (n (n - 1) / 2)`: mean distance of the origins of `n` bodies after the step, m.
 pub(super) fn spread(motion: &Motion<'_>, bodies: &[Place]) -> f32 {
-    let pairs = bodies.iter().enumerate().flat_map(|(index, one)| {
-        bodies[..index].iter().map(move |other| distance(motion, [one, other], &WorldAxis::ALL))
+    let positions: Vec<DVec3> = bodies.iter().map(|body| motion.of(body).position).collect();
+    let pairs = positions.iter().enumerate().flat_map(|(index, one)| {
+        positions[..index].iter().map(move |other| length(*one - *other, &WorldAxis::ALL))
     });
     let count = bodies.len() * (bodies.len() - 1) / 2;
     pairs.sum::<f32>() / count as f32
@@ -91,10 +97,7 @@ impl BodyTerm {
 
     /// Resolves the names of a row of a term about bodies.
     pub(super) fn new(place: &str, row: &TermRow, robot: &Robot) -> Result<Self, SimError> {
-        let names = Names::new("body", robot.bodies());
-        let body = |key: &str, name: &String| {
-            names.index(&format!("{place}.{key}"), name).map(|index| robot.place(index))
-        };
+        let body = |key: &str, name: &String| Names::body(robot, &format!("{place}.{key}"), name);
         let missing = |key: &str| refused(format!("{place} needs the key `{key}`"));
         let of = || body("of", row.of.as_ref().ok_or_else(|| missing("of"))?);
         let to = || match row.to.as_ref().ok_or_else(|| missing("to"))? {
