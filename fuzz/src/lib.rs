@@ -25,7 +25,7 @@ pub fn world(name: &str) -> Box<dyn EnvironmentBatch> {
 fn task(name: &str, definition: Option<TaskDefinition>) -> TaskConfig {
     let usual = fixture::task().observation;
     let observation = ObservationConfig { norm: ObservationNorm::None, ..usual };
-    TaskConfig { task: name.to_owned(), definition, observation }
+    TaskConfig { task: name.to_owned(), definition, weights: None, observation }
 }
 
 /// A small recorded run: two episodes of at most eight steps of the hopper of docs/ADDING_A_TASK.md.

@@ -1,9 +1,11 @@
 //! Settings of a task. There are no defaults here; they are in the run's base configuration.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 /// A task and its observations.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskConfig {
     /// Name of the task: one of [`crate::task_names`], or of `definition`.
@@ -11,6 +13,9 @@ pub struct TaskConfig {
     /// The task's own file; `None` for a task of the program.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub definition: Option<TaskDefinition>,
+    /// Weights of reward terms in place of those in the task's file, by the term's name; `None` if all stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<BTreeMap<String, f32>>,
     /// Observations of the agents.
     pub observation: ObservationConfig,
 }

@@ -48,7 +48,7 @@ fn trace(
     observation: ObservationConfig,
 ) -> Option<Vec<u8>> {
     let task = task.to_owned();
-    let config = TaskConfig { task, definition, observation };
+    let config = TaskConfig { task, definition, weights: None, observation };
     let mut environments = environments(&config, 2).ok()?;
     let mut numbers = Vec::new();
     for (environment, limit) in [(0, u32::MAX), (1, LIMIT)] {

@@ -99,13 +99,21 @@ pub fn task_names() -> &'static [&'static str] {
 
 /// Builds the task that the settings name or define.
 pub(crate) fn find(config: &TaskConfig) -> Result<Task, SimError> {
-    match &config.definition {
-        Some(definition) => {
-            Task::build(&TaskFile::parse(&definition.file)?, &definition.model, &config.task)
-        }
-        None => {
-            shipped(&config.task).and_then(|(file, mjcf)| Task::build(file, mjcf, &config.task))
-        }
+    let (mut file, model) = match &config.definition {
+        Some(definition) => (TaskFile::parse(&definition.file)?, definition.model.as_str()),
+        None => shipped(&config.task).map(|(file, mjcf)| (file.clone(), *mjcf))?,
+    };
+    config.weights.iter().flatten().try_for_each(|(term, weight)| file.reweigh(term, *weight))?;
+    Task::build(&file, model, &config.task)
+}
+
+impl TaskConfig {
+    /// Builds the robot's task and discards it.
+    ///
+    /// # Errors
+    /// If there is no such task, or it has no reward term of a name in `weights`.
+    pub fn check(&self) -> Result<(), SimError> {
+        find(self).map(|_| ())
     }
 }
 

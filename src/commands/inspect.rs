@@ -35,15 +35,23 @@ fn is_key(word: &str) -> bool {
 
 /// A setting's value and origin, its default and description, and whether it affects the result of a run.
 fn explained(config: &RunConfig, key: &str) -> String {
-    let entry = &config.resolved.entries[key];
-    let default = layers::default_of(key).map_or_else(|_| String::new(), ToString::to_string);
+    const OF_TASK: &str = "the weight in the task's file";
+    let is_weight = keys::weighted_term(key).is_some();
+    let (value, origin) = match config.resolved.entries.get(key) {
+        Some(entry) => (config.resolved.shown(key), entry.origin.as_str()),
+        None => (OF_TASK.to_owned(), "the task"),
+    };
+    let default = match layers::default_of(key) {
+        Ok(default) if !is_weight => default.to_string(),
+        _ => OF_TASK.to_owned(),
+    };
     let effect = match keys::is_semantic(key) {
         true => "part of config_sha256: another value is another run",
         false => "affects no result of the steps that are trained",
     };
     let lines = [
-        format!("{key} = {}", config.resolved.shown(key)),
-        format!("  set by   {}{}", entry.origin, effect::remarks(config)(key)),
+        format!("{key} = {value}"),
+        format!("  set by   {origin}{}", effect::remarks(config)(key)),
         format!("  default  {default}"),
         format!("  meaning  {}", presets::description(key)),
         format!("  effect   {effect}"),

@@ -5,6 +5,7 @@ use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
 use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SURPRISE};
+use super::keys;
 use super::resolved::{ConfigError, Resolved};
 use super::run_config::RunConfig;
 
@@ -85,7 +86,10 @@ const TABLE: &[(&[&str], &[Condition])] = &[
 /// The conditions that `key` lacks for an effect; empty if it has one. What is not known of the environment is assumed to
 /// hold.
 fn lacking(run: &RunContext<'_>, key: &str) -> Vec<Condition> {
-    let conditions = TABLE.iter().find(|(keys, _)| keys.contains(&key)).map(|(_, needed)| *needed);
+    let conditions = match keys::weighted_term(key) {
+        Some(_) => Some(&[Environment(Robot)][..]),
+        None => TABLE.iter().find(|(keys, _)| keys.contains(&key)).map(|(_, needed)| *needed),
+    };
     let fails = |condition: &Condition| condition.holds(run) == Some(false);
     conditions.unwrap_or_default().iter().copied().filter(fails).collect()
 }

@@ -33,6 +33,18 @@ const OPERATIONAL: &[&str] = &[
 /// The semantic key that the program fills in when a run starts.
 pub(crate) const FILLED_IN: &str = "environment_service.description";
 
+/// The section of the weights of a task's reward terms. Its keys are the terms' names, and a key without a value leaves the
+/// weight of the task's file, so `configs/base.toml` has none.
+const WEIGHTS: &str = "reward.";
+
+/// The reward term whose weight `key` is; `None` for other keys.
+pub(crate) fn weighted_term(key: &str) -> Option<&str> {
+    let is_name = |term: &&str| {
+        !term.is_empty() && term.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_')
+    };
+    key.strip_prefix(WEIGHTS).filter(is_name)
+}
+
 /// Keys that set only the length of a run; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 

@@ -1,5 +1,6 @@
 //! The configuration of a run as the crates' types; each section checks its own ranges.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use marl::ObservationScale;
@@ -12,7 +13,7 @@ use sim::{ObservationNorm, TaskDefinition};
 use super::conditions::RunContext;
 use super::layers::{self, Request};
 use super::resolved::{ConfigError, Resolved, in_words};
-use super::{effect, message_steps, own_task, rules};
+use super::{effect, keys, message_steps, own_task, rules};
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -116,6 +117,7 @@ impl RunConfig {
         let ranges = config.validate();
         ranges.map_err(|error| ConfigError::out_of_range(&config.resolved, &error))?;
         config.demand_suitable(None)?;
+        config.demand_terms()?;
         Ok(config)
     }
 
@@ -132,12 +134,14 @@ impl RunConfig {
         let [file, model] =
             [own_task::FILE, own_task::MODEL].map(|key| resolved.text(key).to_owned());
         let definition = (!file.is_empty()).then_some(TaskDefinition { file, model });
+        let weights: BTreeMap<String, f32> = weights(&resolved).collect();
         Ok(Self {
             run: sections.run,
             environment: sections.environment_service,
             task: sim::TaskConfig {
                 task: resolved.text("task").to_owned(),
                 definition,
+                weights: (!weights.is_empty()).then_some(weights),
                 observation: sections.observation,
             },
             policy: sections.policy,
@@ -169,6 +173,14 @@ impl RunConfig {
         effect::demand(&run)
     }
 
+    /// Refuses weights of reward terms that the task does not have.
+    fn demand_terms(&self) -> Result<(), ConfigError> {
+        let given = self.resolved.entries.keys().find(|key| keys::weighted_term(key).is_some());
+        let Some(key) = given else { return Ok(()) };
+        let checked = self.task.check();
+        checked.map_err(|error| ConfigError::refused(&self.resolved, &[key], &error.to_string()))
+    }
+
     /// How the learner scales observations.
     pub(crate) fn observations(&self) -> ObservationScale {
         match self.task.observation.norm {
@@ -197,6 +209,14 @@ impl RunConfig {
             actors => actors,
         }
     }
+}
+
+/// The weights of reward terms that replace those of the task's file, by term.
+fn weights(resolved: &Resolved) -> impl Iterator<Item = (String, f32)> {
+    resolved.entries.iter().filter_map(|(key, entry)| {
+        let weight = entry.value.as_float()? as f32;
+        Some((keys::weighted_term(key)?.to_owned(), weight))
+    })
 }
 
 /// The sections of `text`, which are the settings as TOML, in a type with these sections as fields.

@@ -65,6 +65,44 @@ fn a_key_is_explained_with_its_value_origin_default_and_effect() {
     );
 }
 
+#[test]
+fn a_weight_of_a_reward_term_is_a_setting_that_changes_the_run_and_its_hash() {
+    let hash = |settings: &[&str]| {
+        let lines = succeeded(&[&["config"], settings].concat());
+        lines.lines().last().unwrap().to_owned()
+    };
+    assert_ne!(hash(&["ant-4x2"]), hash(&["ant-4x2", "reward.control=0.1"]));
+    let runs = Runs::new();
+    let [plain, weighed] =
+        [("plain", "reward.control=0.1"), ("weighed", "reward.control=5")].map(|(name, weight)| {
+            let run = runs.folder(name);
+            train(&run, &[weight, "run.iterations=2"]);
+            run
+        });
+    assert_ne!(weights(&plain), weights(&weighed));
+    let shipped = runs.folder("shipped");
+    train(&shipped, &["run.iterations=2"]);
+    assert_eq!(weights(&plain), weights(&shipped), "0.1 is the weight in the file of halfcheetah");
+    let resumed = refused(&["train", "--resume", text(&weighed), "reward.control=0.2"]);
+    assert!(resumed.contains("reward.control"), "{resumed}");
+    let added = refused(&["train", "--resume", text(&shipped), "reward.control=0.2"]);
+    assert!(added.contains("reward.control"), "{added}");
+    for (settings, why) in [
+        (
+            &["ant-4x2", "reward.contrl=1"][..],
+            "reward.contrl: the task has no such term; did you mean `control`?",
+        ),
+        (&["cue-2x1", "reward.control=1"], "it needs a robot of the simulator"),
+        (&["ant-4x2", "reward.control=much"], "`reward.control` must be a finite number"),
+        (&["ant-4x2", "reward.Control=1"], "unknown key `reward.Control`"),
+    ] {
+        let line = refused(&[&["train"], settings].concat());
+        assert!(line.contains(why), "{line}");
+    }
+    let explained = succeeded(&["config", "ant-4x2", "reward.control"]);
+    assert!(explained.starts_with("reward.control = the weight in the task's file"), "{explained}");
+}
+
 /// The line with which `s2mia` refuses the arguments while `to` stands for `from` in a file.
 fn refused_with(file: &Path, from: &str, to: &str, arguments: &[&str]) -> String {
     let valid = std::fs::read_to_string(file).unwrap();

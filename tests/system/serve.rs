@@ -36,6 +36,7 @@ fn world(folder: &Path) -> Box<dyn EnvironmentBatch> {
     let task = sim::TaskConfig {
         task: settings["task"].as_str().unwrap().to_owned(),
         definition: None,
+        weights: None,
         observation: settings["observation"].clone().try_into().unwrap(),
     };
     sim::environments(&task, 1).unwrap()

@@ -22,6 +22,7 @@ fn world(environments: usize) -> Box<dyn EnvironmentBatch> {
     let task = TaskConfig {
         task: "hopper-2x1".to_owned(),
         definition: Some(definition),
+        weights: None,
         observation: ObservationConfig { norm: ObservationNorm::None, ..usual.observation },
     };
     sim::environments(&task, environments).unwrap()

@@ -15,6 +15,7 @@ pub(crate) fn task() -> TaskConfig {
     TaskConfig {
         task: "halfcheetah-2x3".to_owned(),
         definition: None,
+        weights: None,
         observation: ObservationConfig {
             mode: ObservationMode::FullId,
             norm: ObservationNorm::FeatureZ,

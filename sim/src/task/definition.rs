@@ -315,6 +315,25 @@ impl TaskFile {
         self.agents.keys().map(|partition| format!("{}-{partition}", self.robot))
     }
 
+    /// Replaces the weight of the reward term or cost `term`.
+    ///
+    /// # Errors
+    /// If the file has no term of this name, or several.
+    pub(crate) fn reweigh(&mut self, term: &str, weight: f32) -> Result<(), SimError> {
+        let rows = || self.reward.iter().chain(&self.cost).map(|row| row.term.word());
+        let choice = spelling::choice(term, rows());
+        let refuse = |why: String| Err(refused(format!("reward.{term}: {why}")));
+        match rows().filter(|word| *word == term).count() {
+            0 => refuse(format!("the task has no such term; {choice}")),
+            1 => {
+                let mut rows = self.reward.iter_mut().chain(&mut self.cost);
+                rows.find(|row| row.term.word() == term).expect("counted").weight = weight;
+                Ok(())
+            }
+            _ => refuse("the task has several such terms; change them in a task file".to_owned()),
+        }
+    }
+
     /// The robot with the MJCF document `mjcf`.
     pub(crate) fn robot_row(&self, mjcf: String) -> RobotRow {
         RobotRow {

@@ -29,6 +29,7 @@ fn config(file: &str, mode: ObservationMode) -> TaskConfig {
     TaskConfig {
         task: "hopper-2x1".to_owned(),
         definition: Some(TaskDefinition { file: file.to_owned(), model }),
+        weights: None,
         observation,
     }
 }
