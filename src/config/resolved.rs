@@ -110,7 +110,7 @@ impl Resolved {
                 format!("a text with the SHA-256 {}", hex(&digest))
             }
             Some(value) => value.to_string(),
-            None => String::new(),
+            None => "none".to_owned(),
         }
     }
 

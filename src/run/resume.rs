@@ -18,9 +18,14 @@ const MAY_RISE: &str = "it may only be raised";
 /// Refuses a setting of `new` that would change the result of the run, by name: the first that the user gave, then the first
 /// that follows one.
 pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError> {
-    let mut settings: Vec<_> = old.resolved.semantic().collect();
-    settings.sort_by_key(|(key, _)| !new.resolved.is_given(key));
-    for (key, value) in settings {
+    let value = |config: &RunConfig, key: &str| {
+        config.resolved.entries.get(key).map(|entry| entry.value.clone())
+    };
+    let added = new.resolved.semantic().filter(|(key, _)| value(old, key).is_none());
+    let mut settings: Vec<&str> =
+        old.resolved.semantic().chain(added).map(|(key, _)| key).collect();
+    settings.sort_by_key(|key| !new.resolved.is_given(key));
+    for key in settings {
         if keys::FILLED_IN == key && new.environment.description.is_empty() {
             // The environment's description is not known yet; `Offered` compares it later.
             continue;
@@ -29,7 +34,7 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
             // The run's value may be lower, so that the messages of its environment fit.
             continue;
         }
-        if new.resolved.entries[key].value != *value {
+        if value(new, key) != value(old, key) {
             let allowed = if keys::is_length(key) { DECAYS.to_owned() } else { may_change() };
             let values = (old.resolved.shown(key), new.resolved.shown(key));
             return Err(fixed(new, key, values, &allowed));
