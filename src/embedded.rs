@@ -1,19 +1,11 @@
 //! What the Python module uses of this program: environments by the names and settings that commands take.
 
-use anyhow::Context as _;
-use sim::EnvironmentBatch;
+mod environments;
 
-use crate::config::Request;
-use crate::config::run_config::RunConfig;
+pub use anyhow::{Error, Result};
+pub use environments::{Environments, Picture};
 
-/// `count` environments of the simulator for `settings`, which are a task and pairs `key=value` as commands take them.
-///
-/// # Errors
-/// If a setting or the task is invalid.
-pub fn environments(
-    settings: Vec<String>,
-    count: usize,
-) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
-    let config = RunConfig::of(&Request { settings, ..Request::default() })?;
-    sim::environments(&config.task, count).context("cannot build the task")
+/// An error and its causes in one line, as commands print them.
+pub fn line(error: &Error) -> String {
+    actor::causes(error.as_ref())
 }

@@ -122,6 +122,19 @@ pub(crate) fn portrait(
     finished(sheet, captions, robot.agents)
 }
 
+/// The picture of a robot in a pose from the side, without captions: at the scale that leaves a margin around the pose
+/// `rest`, so that pictures of a motion have one scale, or at a smaller one if the pose needs it.
+pub(crate) fn still(robot: &RobotShapes, rest: &Pose, pose: &Pose) -> Pixmap {
+    let capsules = |pose: &Pose| drawing::capsules(robot, pose, ViewDirection::Side);
+    let middle = pose.root().position[0];
+    let scale = |pose: &Pose| drawing::scale(&[capsules(pose)], &[pose.root().position[0]]);
+    let pixels_per_metre = scale(pose).min(REST_SCALE * scale(rest));
+    drawing::panel(&capsules(pose), &Camera { middle, pixels_per_metre })
+}
+
+/// Scale of a picture as share of the largest at which the rest pose fits.
+const REST_SCALE: f32 = 0.75;
+
 /// From above if the robot is wider than high.
 fn view(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
     let extent = |view| {

@@ -15,5 +15,5 @@ mod step_event;
 pub use evaluation::{Episode, EvaluationEpisode, play_episode};
 pub use film::{FILMED, FilmRecorder};
 pub use fingerprint::rollout_fingerprint;
-pub use slot::roll_out;
+pub use slot::{roll_out, start_episode};
 pub use step_event::{PlayedStep, StepEvent};

@@ -66,7 +66,8 @@ impl<'a> Slot<'a> {
         for (position, environment) in work.environments.iter().enumerate() {
             match &environment.start {
                 Start::Fresh { episode, limit } => {
-                    reset(run, world, (position, environment.environment), *episode, *limit)?;
+                    let indices = (position, environment.environment);
+                    start_episode(world, RunSeed(run.seed), indices, *episode, *limit)?;
                 }
                 Start::Continue { state, recurrent } => {
                     continued.push((position, state.as_ref()));
@@ -137,7 +138,7 @@ impl<'a> Slot<'a> {
         }
         let (episode, limit) =
             (self.world.position(position).episode + 1, self.run.environment.episode_steps);
-        reset(self.run, self.world, (position, index), episode, limit)?;
+        start_episode(self.world, RunSeed(self.run.seed), (position, index), episode, limit)?;
         self.agents.reset_hidden(position);
         Ok(())
     }
@@ -151,14 +152,18 @@ impl<'a> Slot<'a> {
     }
 }
 
-/// Starts an episode. Its draws are keyed by the indices of episode and environment.
-fn reset(
-    run: &RunDescription,
+/// Starts an episode of a run with this seed in the environment at `position` of `world`. Its draws are keyed by the indices
+/// of the episode and of the environment in the run. `limit` is the number of steps until truncation.
+///
+/// # Errors
+/// If an external environment fails.
+pub fn start_episode(
     world: &mut dyn EnvironmentBatch,
+    seed: RunSeed,
     (position, environment): (usize, u32),
     episode: u64,
     limit: u32,
 ) -> Result<(), SimError> {
     let draw = Draw::of(Purpose::Reset).iteration(episode).environment(environment);
-    world.reset(position, episode, limit, DrawKey::of(RunSeed(run.seed), draw).0)
+    world.reset(position, episode, limit, DrawKey::of(seed, draw).0)
 }

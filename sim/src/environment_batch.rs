@@ -2,7 +2,7 @@
 
 use proto::{AgentSpec, EnvironmentSpec, EpisodePosition};
 
-use crate::error::SimError;
+use crate::error::{ActionError, SimError};
 use crate::robot::Robot;
 use crate::scene::Pose;
 use crate::state::StateBounds;
@@ -147,6 +147,44 @@ pub trait EnvironmentBatch: Send {
     fn state_bounds(&self) -> Option<&StateBounds> {
         None
     }
+}
+
+/// Checks actions `[E, A]` of `environments` environments of a task: their number, that continuous ones are finite, and that
+/// discrete ones are indices of choices.
+///
+/// # Errors
+/// The first action that is invalid.
+pub fn check_actions(
+    task: &EnvironmentSpec,
+    environments: usize,
+    actions: &[f32],
+) -> Result<(), ActionError> {
+    let (got, size) = (actions.len(), task.agents.iter().map(|agent| agent.action.size).sum());
+    if got != environments * size {
+        return Err(ActionError::Length { got, environments, size });
+    }
+    let is_valid = |choices: Option<u32>, value: f32| match choices {
+        Some(choices) => (0.0..choices as f32).contains(&value) && value.fract() == 0.0,
+        None => value.is_finite(),
+    };
+    let mut rest = actions.iter();
+    for environment in 0..environments {
+        for (agent, spec) in task.agents.iter().enumerate() {
+            let choices = spec.action.choices;
+            let mut own = rest.by_ref().take(spec.action.size).enumerate();
+            let Some((index, &value)) = own.find(|(_, value)| !is_valid(choices, **value)) else {
+                continue;
+            };
+            return Err(match choices {
+                Some(choices) => {
+                    let choices = choices as usize;
+                    ActionError::NoChoice { environment, agent, value, choices }
+                }
+                None => ActionError::NotFinite { environment, agent, index, value },
+            });
+        }
+    }
+    Ok(())
 }
 
 /// Selection of the episodes that the disturbances of a task file act in.

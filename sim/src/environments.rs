@@ -9,8 +9,8 @@ use std::sync::Arc;
 use proto::{EnvironmentSpec, EpisodePosition};
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
-use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome};
-use crate::error::{ActionError, SimError, StateError};
+use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions};
+use crate::error::{SimError, StateError};
 use crate::noise::{DrawPurpose, generator};
 use crate::observation::Observation;
 use crate::robot::Robot;
@@ -212,7 +212,7 @@ impl EnvironmentBatch for RobotEnvironments {
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
         let size = self.motors.len();
         assert_eq!(outcome.len(), self.count(), "outcome [E]");
-        self.check(actions)?;
+        check_actions(&self.description, self.count(), actions)?;
         for (index, outcome) in outcome.iter_mut().enumerate() {
             *outcome = self.step_one(index, &actions[index * size..][..size]);
         }
@@ -243,22 +243,6 @@ impl EnvironmentBatch for RobotEnvironments {
 }
 
 impl RobotEnvironments {
-    fn check(&self, actions: &[f32]) -> Result<(), ActionError> {
-        let (environments, size) = (self.count(), self.motors.len());
-        if actions.len() != environments * size {
-            return Err(ActionError::Length { got: actions.len(), environments, size });
-        }
-        let Some(at) = actions.iter().position(|number| !number.is_finite()) else {
-            return Ok(());
-        };
-        let (environment, mut index, mut agent) = (at / size, at % size, 0);
-        while index >= self.description.agents[agent].action.size {
-            index -= self.description.agents[agent].action.size;
-            agent += 1;
-        }
-        Err(ActionError::NotFinite { environment, agent, index, value: actions[at] })
-    }
-
     /// Rebuilds a world from an encoded state. All resets and restores use this function.
     fn rebuild(&mut self, index: usize, bytes: &[u8]) -> Result<(), StateError> {
         let state = State::from_bytes(bytes, &self.bounds)?;

@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{ObservationMode, ObservationNorm, TaskConfig};
-use crate::environment_batch::{EnvironmentBatch, Outcome};
-use crate::error::{ActionError, SimError};
+use crate::environment_batch::{EnvironmentBatch, Outcome, check_actions};
+use crate::error::SimError;
 use crate::state::{STATE_VERSION, State, StateBounds};
 
 pub(crate) mod cue;
@@ -95,25 +95,6 @@ impl<G: Game> GameEnvironments<G> {
         let episode = Episode { position, game };
         Ok(Self { description: describe::<G>(&bounds), bounds, episodes: vec![episode; count] })
     }
-
-    fn check(&self, actions: &[f32]) -> Result<(), ActionError> {
-        let (got, environments) = (actions.len(), self.count());
-        if got != environments * AGENTS {
-            return Err(ActionError::Length { got, environments, size: AGENTS });
-        }
-        let valid = |&a: &f32| match G::ACTION.choices {
-            Some(choices) => a >= 0.0 && a < choices as f32 && a.fract() == 0.0,
-            None => a.is_finite(),
-        };
-        let Some(at) = actions.iter().position(|action| !valid(action)) else { return Ok(()) };
-        let (environment, agent, value) = (at / AGENTS, at % AGENTS, actions[at]);
-        Err(match G::ACTION.choices {
-            Some(choices) => {
-                ActionError::NoChoice { environment, agent, value, choices: choices as usize }
-            }
-            None => ActionError::NotFinite { environment, agent, index: 0, value },
-        })
-    }
 }
 
 impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
@@ -170,7 +151,7 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
 
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
         assert_eq!(outcome.len(), self.count(), "outcome [E]");
-        self.check(actions)?;
+        check_actions(&self.description, self.count(), actions)?;
         let rows = self.episodes.iter_mut().zip(actions.chunks_exact(AGENTS));
         for ((episode, actions), outcome) in rows.zip(outcome) {
             let position = &mut episode.position;

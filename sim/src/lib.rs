@@ -27,7 +27,7 @@ pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
     TaskDefinition,
 };
-pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome};
+pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions};
 pub use error::{ActionError, SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;

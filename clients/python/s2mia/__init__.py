@@ -1,5 +1,9 @@
-"""s2mia in Python: trained policies with NumPy, tables of runs with pandas, and clients of the gRPC services.
+"""s2mia in Python: the simulator, trained policies with NumPy, tables of runs with pandas, and clients of the gRPC services.
 
+    parallel.py     the simulator as a PettingZoo `ParallelEnv`: `parallel_env`
+    vector.py       as a Gymnasium `VectorEnv` of teams: `vector_env`
+    single.py       as a Gymnasium `Env` with one agent: `gym_env`
+    simulator.py    what these have in common
     checkpoint.py   finds and verifies the policies of a run folder
     policies.py     acts by them: `load`
     policy.py       the networks and distributions in a snapshot
@@ -14,7 +18,7 @@
     environment.py  server of environments: the package `s2mia_environment`
     wire.py         the messages
 
-Modules that need gRPC or pandas are imported when a name from them is first used.
+Modules that need gRPC, pandas, PettingZoo or Gymnasium are imported when a name from them is first used.
 """
 
 import importlib
@@ -29,8 +33,11 @@ if TYPE_CHECKING:
     from s2mia.connection import Tls
     from s2mia.control import Client, Progress, Status
     from s2mia.learner import Learner
+    from s2mia.parallel import parallel_env
+    from s2mia.single import gym_env
     from s2mia.tables import Runs, runs
     from s2mia.team import Team
+    from s2mia.vector import vector_env
 
 __all__ = [
     "Client",
@@ -44,8 +51,11 @@ __all__ = [
     "Team",
     "Tls",
     "act_for",
+    "gym_env",
     "load",
+    "parallel_env",
     "runs",
+    "vector_env",
 ]
 
 _MODULES = {
@@ -57,7 +67,10 @@ _MODULES = {
     "Team": "team",
     "Tls": "connection",
     "act_for": "actor",
+    "gym_env": "single",
+    "parallel_env": "parallel",
     "runs": "tables",
+    "vector_env": "vector",
 }
 
 
@@ -65,3 +78,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return getattr(importlib.import_module(f"s2mia.{_MODULES[name]}"), name)
     raise AttributeError(f"module 's2mia' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -7,7 +7,7 @@ mod environments;
 #[pyo3::pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::environments::Environments;
+    use crate::environments::{Environments, task_names};
 
     /// The package's version.
     #[pymodule_export]

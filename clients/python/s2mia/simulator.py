@@ -1,0 +1,140 @@
+"""The program's simulator: what the environments of PettingZoo and Gymnasium have in common."""
+
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from s2mia._native import Environments
+from s2mia.settings import arguments
+
+Numbers = NDArray[np.float32]
+
+RENDER_MODE = "rgb_array"
+_REWARD = struct.Struct("<f")
+
+
+@dataclass(frozen=True)
+class AgentSpec:
+    """One agent of a task."""
+
+    name: str
+    joints: list[str]
+    """Joints that it drives, in the order of its action; none in a game."""
+    features: list[str]
+    """Names of its observation, m, rad, m/s and rad/s."""
+    action_size: int
+    """Numbers in its action."""
+    choices: int | None
+    """Choices of a discrete action, which is one number."""
+    control_ranges: list[list[float]]
+    """Controls for the actions -1 and 1, a pair for each number; none in a game."""
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """A task."""
+
+    name: str
+    dt_secs: float
+    """Simulated seconds of a step."""
+    episode_steps: int
+    """Steps after which an episode is truncated."""
+    state: list[str]
+    """Names of the global state's features, m, rad, m/s and rad/s."""
+    agents: list[AgentSpec]
+
+
+class Simulator:
+    """Environments of one task. `native` steps them, with arrays as bytes."""
+
+    def __init__(
+        self,
+        task: str | os.PathLike[str],
+        settings: Mapping[str, Any],
+        seed: int | None,
+        disturbances: str,
+        num_envs: int = 1,
+        threads: int = 1,
+    ) -> None:
+        seeded = {} if seed is None else {"run__seed": seed}
+        self.num_envs = num_envs
+        self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
+        name, dt_secs, episode_steps, state, agents = self.native.task()
+        self.task = TaskSpec(name, dt_secs, episode_steps, state, [AgentSpec(*agent) for agent in agents])
+
+    def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+        """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
+        if seed is not None and not (isinstance(seed, int | np.integer) and 0 <= seed < 2**64):
+            raise ValueError(f"seed is {seed!r}; it must be a whole number from 0 to {2**64 - 1}")
+        limit = (options or {}).get("limit", [])
+        limits = np.broadcast_to(limit, self.num_envs) if np.ndim(limit) == 0 else limit
+        self.native.reset(None if seed is None else int(seed), [int(one) for one in limits])
+
+
+class OneEnvironment:
+    """One environment of the simulator."""
+
+    metadata: dict[str, Any]
+
+    def __init__(self, simulator: Simulator, render_mode: str | None) -> None:
+        if render_mode not in (None, RENDER_MODE):
+            raise ValueError(f"render_mode is {render_mode!r}; it is {RENDER_MODE!r} or None")
+        self.simulator, self.task, self.render_mode = simulator, simulator.task, render_mode
+        self.metadata = {
+            "name": self.task.name,
+            "render_modes": [RENDER_MODE],
+            "render_fps": round(1 / self.task.dt_secs),
+            "is_parallelizable": True,
+        }
+        self.is_running = False
+        if render_mode is not None:
+            self.render()
+
+    def state(self) -> Numbers:
+        """The global state `[S]`, whose features `task.state` names."""
+        return np.frombuffer(self.simulator.native.states(), np.float32)
+
+    def save(self) -> bytes:
+        """The state, as logs and checkpoints of runs have it. What follows equals what follows `restore`, bit for bit.
+
+        Raises `ValueError` if the episode is over.
+        """
+        return self.simulator.native.save(0)
+
+    def restore(self, state: bytes) -> None:
+        """Continues from an exact state, of this task. Raises `ValueError` for other bytes, and changes nothing."""
+        self.simulator.native.restore(0, state)
+        self.is_running = True
+
+    def render(self) -> NDArray[np.uint8]:
+        """A picture of the robot from the side, `[height, width, 3]`."""
+        if self.render_mode is None:
+            raise ValueError(f"nothing is drawn: make the environment with render_mode={RENDER_MODE!r}")
+        height, width, pixels = self.simulator.native.picture(0)
+        return np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
+
+    def close(self) -> None:
+        """Does nothing."""
+
+    def begin(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+        """Starts an episode."""
+        self.simulator.reset(seed, options)
+        self.is_running = True
+
+    def observe(self) -> Numbers:
+        """Observations of all agents in their order, `[O]`."""
+        return np.frombuffer(self.simulator.native.observations(), np.float32)
+
+    def advance(self, joint: Numbers) -> tuple[Numbers, float, bool, bool, bool]:
+        """Steps with the joint action `[A]`: observations `[O]`, reward, terminated, truncated, and whether by a fault."""
+        if not self.is_running:
+            raise ValueError("no episode is running; call reset()")
+        seen, reward, terminated, truncated, fault = self.simulator.native.step(joint.tobytes())
+        self.is_running = not (terminated[0] or truncated[0])
+        observations = np.frombuffer(seen, np.float32)
+        return observations, _REWARD.unpack(reward)[0], bool(terminated[0]), bool(truncated[0]), bool(fault[0])

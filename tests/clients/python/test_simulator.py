@@ -1,0 +1,203 @@
+"""The simulator under PettingZoo's and Gymnasium's interfaces: it passes their tests, and bad input is refused in one line."""
+
+import warnings
+
+import numpy as np
+import pytest
+import s2mia
+from conftest import ROOT
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+from test_package import examples
+
+
+def rest(env):
+    """Actions of 0."""
+    return {name: np.zeros(env.action_space(name).shape, np.float32) for name in env.possible_agents}
+
+
+@pytest.mark.parametrize("task", ["ant-4x2", "humanoid-9x8", "cue-2x1", "signal-2x1"])
+def test_a_team_passes_the_tests_of_pettingzoo(task):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(s2mia.parallel_env(task), num_cycles=120)
+    parallel_seed_test(lambda: s2mia.parallel_env(task), num_cycles=60)
+
+
+@pytest.mark.parametrize("task", ["ant", "humanoid-9x8", "cue-2x1", "signal-2x1"])
+def test_one_agent_passes_the_checker_of_gymnasium(task):
+    check_env(s2mia.gym_env(task))
+
+
+def test_one_agent_drives_the_whole_robot_and_observes_the_global_state():
+    whole, team = s2mia.gym_env("ant", render_mode="rgb_array"), s2mia.parallel_env("ant-2x4")
+    assert whole.task == team.task and whole.action_space.shape == (8,)
+    check_env(whole)
+    state, _ = whole.reset(seed=3)
+    team.reset(seed=3)
+    assert np.array_equal(state, team.state()) and state.shape == (len(whole.task.state),)
+    action = np.linspace(-1, 1, 8, dtype=np.float32)
+    state, reward, *_ = whole.step(action)
+    _, rewards, *_ = team.step({"agent_0": action[:4], "agent_1": action[4:]})
+    assert np.array_equal(state, team.state()) and set(rewards.values()) == {reward}
+
+
+def test_agents_observe_the_features_that_the_task_names():
+    env = s2mia.parallel_env("walker2d-2x3", observation__mode="k_nearest", observation__nearest=0)
+    observations, _ = env.reset()
+    sizes = [len(agent.features) for agent in env.task.agents]
+    assert [row.shape for row in observations.values()] == [(size,) for size in sizes]
+    assert sizes[0] < len(s2mia.parallel_env("walker2d-2x3").task.agents[0].features)
+    named = dict(zip(env.task.state, env.state(), strict=True))
+    seen = dict(zip(env.task.agents[1].features, observations["agent_1"], strict=True))
+    shared = named.keys() & seen.keys()
+    assert len(shared) > 3 and all(named[name] == seen[name] for name in shared)
+    assert env.task.agents[0].joints == ["thigh", "leg", "foot"]
+    assert (env.task.dt_secs, env.task.episode_steps) == (0.008, 1000)
+
+
+def test_a_fall_terminates_and_the_limit_truncates():
+    ends = {}
+    for limit in (5, 1000):
+        env = s2mia.parallel_env("walker2d-2x3", seed=2)
+        env.reset(options={"limit": limit})
+        steps, terminated, truncated = 0, {"agent_0": False}, {"agent_0": False}
+        while env.agents:
+            _, rewards, terminated, truncated, infos = env.step(dict.fromkeys(env.agents, np.full(3, 0.7)))
+            steps += 1
+        ends[limit] = terminated, truncated
+        assert infos == {"agent_0": {}, "agent_1": {}} and rewards["agent_0"] == rewards["agent_1"]
+        assert (steps == 5) == (limit == 5)
+        with pytest.raises(ValueError, match=r"^no episode is running; call reset\(\)$"):
+            env.step(rest(env))
+    no, yes = dict.fromkeys(["agent_0", "agent_1"], False), dict.fromkeys(["agent_0", "agent_1"], True)
+    assert ends == {5: (no, yes), 1000: (yes, no)}
+
+
+def test_a_restored_state_continues_with_the_same_bits():
+    first, other = s2mia.parallel_env("ant-4x2", seed=5), s2mia.parallel_env("ant-4x2")
+    first.reset()
+    rng = np.random.default_rng(0)
+    actions = [{name: rng.uniform(-1, 1, 2).astype(np.float32) for name in first.agents} for _ in range(20)]
+    for action in actions[:10]:
+        first.step(action)
+    saved = first.save()
+    other.restore(saved)
+    assert other.save() == saved
+    for name, row in first.observations().items():
+        assert row.tobytes() == other.observations()[name].tobytes()
+    for action in actions[10:]:
+        seen, rewards, *_ = first.step(action)
+        again, paid, *_ = other.step(action)
+        assert rewards == paid and all(seen[name].tobytes() == again[name].tobytes() for name in seen)
+    assert first.save() == other.save()
+
+
+def test_what_a_step_returned_does_not_change_with_the_next():
+    env = s2mia.parallel_env("ant-4x2")
+    env.reset()
+    kept, *_ = env.step(rest(env))
+    copies = {name: row.copy() for name, row in kept.items()}
+    kept["agent_1"][0] = 7
+    env.step(rest(env))
+    for name, row in kept.items():
+        assert np.array_equal(row[1:], copies[name][1:]) and (row[0] == copies[name][0]) == (name != "agent_1")
+
+
+def test_pictures_show_how_the_robot_moves():
+    env = s2mia.parallel_env("halfcheetah-2x3", render_mode="rgb_array")
+    env.reset()
+    before = env.render()
+    assert before.dtype == np.uint8 and before.shape == (270, 400, 3)
+    assert len(np.unique(before.reshape(-1, 3), axis=0)) > 5
+    for _ in range(5):
+        env.step(dict.fromkeys(env.agents, np.ones(3, np.float32)))
+    assert np.count_nonzero(before != env.render()) > 1000
+
+
+def test_disturbances_act_as_in_training_unless_others_are_chosen():
+    def starts(**chosen):
+        env = s2mia.parallel_env("halfcheetah-pushed-2x3", seed=1, **chosen)
+        seen = []
+        env.reset()
+        for _ in range(60):
+            seen.append(env.step(rest(env))[0]["agent_0"].tobytes())
+        return seen
+
+    assert starts() == starts(disturbances="training")
+    assert starts() != starts(disturbances="off")
+
+
+def test_a_task_file_is_an_environment():
+    file = ROOT / "sim" / "assets" / "hopper.toml"
+    env = s2mia.parallel_env(file, seed=1)
+    env.reset()
+    env.step(rest(env))
+    assert env.task.name.startswith("hopper-")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: s2mia.parallel_env("ant-4x3"), "settings: unknown task `ant-4x3`; did you mean `ant-4x2`?"),
+        (lambda: s2mia.gym_env("ants"), "settings: unknown task `ants`"),
+        (lambda: s2mia.parallel_env("no.toml"), "no.toml: No such file"),
+        (lambda: s2mia.parallel_env("ant-4x2", observation__mod="full_id"), "did you mean `observation.mode`?"),
+        (lambda: s2mia.parallel_env("ant-4x2", observation__mode="eyes"), "observation.mode"),
+        (lambda: s2mia.parallel_env("ant-4x2", update__gamma=0.9), "`update.gamma` has no effect on an environment"),
+        (lambda: s2mia.parallel_env("ant-4x2", seed=-1), "run.seed"),
+        (lambda: s2mia.parallel_env("ant-4x2", disturbances="on"), "disturbances is \"on\"; it is training, evaluation or off"),
+        (lambda: s2mia.parallel_env("ant-4x2", render_mode="human"), "render_mode is 'human'"),
+        (lambda: s2mia.parallel_env("cue-2x1", render_mode="rgb_array"), "cue-2x1 is a game: there is nothing to draw"),
+        (lambda: s2mia.vector_env("ant-4x2", 0), "num_envs = 0 is out of range: 1 to 65536"),
+        (lambda: s2mia.vector_env("ant-4x2", 4, threads=0), "threads = 0 is out of range: 1 to 1024"),
+    ],
+)
+def test_environments_that_cannot_be_made_are_refused_in_one_line(make, message):
+    with pytest.raises(ValueError) as raised:
+        make()
+    assert message in str(raised.value) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda env: env.step(rest(env) | {"agent_2": np.zeros(3)}), "the action of agent_2 has the shape (3,), not (2,)"),
+        (lambda env: env.step(rest(env) | {"agent_2": [0, np.nan]}), "the action of agent 2 in environment 0 is NaN at index 1"),
+        (lambda env: env.step(rest(env) | {"agent_4": np.zeros(2)}), "needed are those of agent_0, agent_1, agent_2, agent_3"),
+        (lambda env: env.step({}), "the actions are of the agents none; needed"),
+        (lambda env: env.restore(b"s2st"), "invalid environment state: it has 4 bytes; a state of rapier/ant has "),
+        (lambda env: env.reset(seed=-1), "seed is -1; it must be a whole number from 0 to"),
+        (lambda env: env.reset(options={"limit": 0}), "limit = 0 is out of range: 1 to 1000"),
+        (lambda env: env.reset(options={"limit": [9, 9]}), "got 2 limits for 1 environments"),
+        (lambda env: env.render(), "render_mode='rgb_array'"),
+    ],
+)
+def test_what_an_environment_refuses_changes_nothing(use, message):
+    env = s2mia.parallel_env("ant-4x2")
+    env.reset(seed=4)
+    before = env.save()
+    with pytest.raises(ValueError) as raised:
+        use(env)
+    assert message in str(raised.value) and "\n" not in str(raised.value)
+    assert env.save() == before and env.agents == env.possible_agents
+
+
+def test_a_state_of_another_task_and_a_choice_that_does_not_exist_are_refused():
+    walker, cheetah, cue = (s2mia.parallel_env(task) for task in ("walker2d-2x3", "halfcheetah-2x3", "cue-2x1"))
+    for env in (walker, cheetah, cue):
+        env.reset()
+    with pytest.raises(ValueError, match=r"^invalid environment state: it is not a state of rapier/halfcheetah$"):
+        cheetah.restore(walker.save())
+    with pytest.raises(ValueError, match=r"^the action of agent 1 in environment 0 is 3, not one of 3 choices$"):
+        cue.step({"agent_0": 0, "agent_1": np.array([3])})
+
+
+def test_the_documented_examples_run(capsys):
+    team, vector, one = examples("Simulator in Python")
+    exec(team, {})
+    assert "features of agent_0: ['" in capsys.readouterr().out
+    exec(vector, {})
+    assert "observations: (64, 2, 19) states: (64, 17) rewards: (64,)" in capsys.readouterr().out
+    exec(one, {})
+    assert capsys.readouterr().out == "the same bits: True picture: (270, 400, 3)\n"
