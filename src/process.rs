@@ -252,12 +252,21 @@ impl Requests {
     }
 }
 
-/// Whether the process was started with this signal ignored; only Linux tells.
+/// Whether the process was started with this signal ignored. Where the system has no `/proc`, a shell tells, which inherits that.
 fn is_ignored(kind: SignalKind) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let Ok(status) = std::fs::read_to_string("/proc/self/status") else {
+        return survives(&mut std::process::Command::new("sh"), kind);
+    };
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask & (1 << (kind.as_raw_value() - 1)) != 0
+}
+
+/// Whether a shell lives on after it sends itself a signal.
+fn survives(shell: &mut std::process::Command, kind: SignalKind) -> bool {
+    let script = format!("kill -{} $$", kind.as_raw_value());
+    shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    shell.args(["-c", &script]).status().is_ok_and(|status| status.success())
 }
 
 /// Whether a line is a log line, `TIME LEVEL MESSAGE`, of a level that reports no failure, or the advice after a panic.
@@ -279,6 +288,17 @@ mod tests {
         check_clock(SystemTime::UNIX_EPOCH).unwrap();
         let error = check_clock(SystemTime::UNIX_EPOCH - Duration::from_secs(1)).unwrap_err();
         assert!(error.to_string().contains("before 1970"), "{error}");
+    }
+
+    #[test]
+    fn a_shell_survives_a_signal_that_it_was_started_to_ignore_and_no_other() {
+        let under_nohup = || {
+            let mut command = std::process::Command::new("nohup");
+            command.arg("sh");
+            command
+        };
+        assert!(survives(&mut under_nohup(), SignalKind::hangup()));
+        assert!(!survives(&mut under_nohup(), SignalKind::user_defined1()));
     }
 
     /// No address space has room for the stack of a thread.

@@ -1,6 +1,6 @@
 """Environment steps per second of the environment server, with multi-agent MuJoCo and without a learner.
 
-    pip install grpcio grpcio-tools gymnasium-robotics mujoco pettingzoo
+    pip install 'clients/python[mujoco]'
     python benches/python/environment_load.py [--scenario HalfCheetah] [--agent-conf 2x3] [--workers 2] [--streams 2]
         [--environments 10] [--secs 10] [--repetitions 5]
 
@@ -11,8 +11,6 @@ the median.
 
 import argparse
 import multiprocessing
-import os
-import pathlib
 import queue
 import statistics
 import subprocess
@@ -21,9 +19,6 @@ import time
 
 import numpy as np
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
-CLIENTS = ROOT / "clients" / "python"
-sys.path.insert(0, str(CLIENTS))
 # Different actions that a client sends in turn.
 ACTIONS = 64
 
@@ -33,8 +28,7 @@ def start(arguments) -> tuple[subprocess.Popen, str]:
     settings = [f"scenario={arguments.scenario}", f"agent_conf={arguments.agent_conf}", "observation=full_id"]
     module = ["-m", "s2mia_environment", "--listen", "127.0.0.1:0", "--workers", str(arguments.workers)]
     command = [sys.executable, *module, "s2mia_environment.mujoco:multi_agent", *settings]
-    environment = {**os.environ, "PYTHONPATH": str(CLIENTS)}
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment)
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     words = server.stdout.readline().split()
     if not words:
         raise SystemExit("the server did not start; run it alone to see why: python " + " ".join(command[1:]))

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import subprocess
+import sysconfig
 from pathlib import Path
 
 import pytest
@@ -31,9 +32,9 @@ TINY = [
 
 
 def program():
-    """The binary under test."""
-    binary = Path(os.environ.get("S2MIA", ROOT / "target" / "debug" / "s2mia"))
-    assert binary.is_file(), f"{binary} is not built; `cargo test`, or `cargo build --features fail_points`, makes it"
+    """The binary under test: the command of the installed package, or what S2MIA names."""
+    binary = Path(os.environ.get("S2MIA") or Path(sysconfig.get_path("scripts")) / "s2mia")
+    assert binary.is_file(), f"{binary} is not there; `.ci/run` installs the wheel"
     return binary
 
 

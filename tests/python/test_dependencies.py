@@ -49,12 +49,14 @@ def test_every_crate_comes_from_the_registry_with_its_hash_and_none_is_banned():
     assert {crate["name"] for crate in CRATES} & {ban["crate"] for ban in DENY["bans"]["deny"]} == set()
 
 
-def test_every_python_package_has_hashes():
-    wanted, locked = ((ROOT / "tests" / "python" / f"requirements.{end}").read_text() for end in ("in", "txt"))
+@pytest.mark.parametrize("folder", ["deploy", "tests/python"])
+def test_every_python_package_has_hashes(folder):
+    wanted, locked = ((ROOT / folder / f"requirements.{end}").read_text() for end in ("in", "txt"))
     packages = dict(re.findall(r"^(\S+==\S+)((?: \\\n    --hash=sha256:[0-9a-f]{64})*)$", locked, re.MULTILINE))
     assert set(packages) == set(re.findall(r"^\S+==\S+$", wanted, re.MULTILINE))
     assert all(packages.values())
-    assert "--require-hashes" in (ROOT / ".ci" / "run").read_text()
+    for script in (".ci/run", ".github/workflows/release.yml"):
+        assert "--require-hashes" in (ROOT / script).read_text()
 
 
 def test_every_action_is_pinned_to_a_commit():

@@ -24,6 +24,7 @@ Modules that need gRPC, pandas, PettingZoo or Gymnasium are imported when a name
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from s2mia._native import VERSION as __version__
 from s2mia.error import RunError
 from s2mia.policies import Policies, load
 from s2mia.policy import Policy

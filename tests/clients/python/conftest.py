@@ -5,17 +5,17 @@ import os
 import pathlib
 import subprocess
 import sys
+import sysconfig
 
 import grpc
 import pytest
 from google.rpc import error_details_pb2
 from grpc_status import rpc_status
+from s2mia.connection import CallError
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
-CLIENTS = ROOT / "clients" / "python"
-sys.path.insert(0, str(CLIENTS))
-
-from s2mia.connection import CallError  # noqa: E402
+# Programs that a test starts import its games too.
+PLACES = os.pathsep.join(filter(None, [str(pathlib.Path(__file__).parent), os.environ.get("PYTHONPATH")]))
 
 SMALL = ["cue-2x1", "run.seed=3", "evaluation.episodes=2", "checkpoint.every=10"]
 FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
@@ -24,8 +24,9 @@ MANY = [*SMALL, "run.env_steps=30000", "evaluation.every_steps=10000"]
 
 
 def command(*arguments) -> list[str]:
-    binary = pathlib.Path(os.environ.get("S2MIA", ROOT / "target" / "debug" / "s2mia"))
-    assert binary.is_file(), f"{binary} is not built; `cargo test`, or `cargo build --features fail_points`, makes it"
+    """The command of the installed package, or the binary that S2MIA names."""
+    binary = pathlib.Path(os.environ.get("S2MIA") or pathlib.Path(sysconfig.get_path("scripts")) / "s2mia")
+    assert binary.is_file(), f"{binary} is not there; `.ci/run` installs the wheel"
     return [str(binary), *map(str, arguments)]
 
 
@@ -135,10 +136,9 @@ def offer():
     started = []
 
     def start(function: str, *settings: str) -> str:
-        places = os.pathsep.join([str(CLIENTS), str(pathlib.Path(__file__).parent)])
         arguments = [sys.executable, "-m", "s2mia_environment", "--listen", "127.0.0.1:0", function, *settings]
         process = subprocess.Popen(
-            arguments, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": places}
+            arguments, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": PLACES}
         )
         started.append(process)
         words = process.stdout.readline().split()

@@ -10,7 +10,7 @@ import grpc
 import numpy as np
 import pytest
 import s2mia
-from conftest import CLIENTS, ROOT, SMALL, Serving, s2mia_run
+from conftest import ROOT, SMALL, Serving, s2mia_run
 from s2mia import learner as learner_module
 from s2mia.connection import CallError, authorization
 
@@ -159,7 +159,7 @@ def test_a_signal_stops_an_actor_without_a_traceback(serve, number):
     words = [sys.executable, "-m", "s2mia.actor", learner.url]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     # A shell's background job, as a test run may be, ignores SIGINT, and so would its children.
-    process = subprocess.Popen(words, cwd=CLIENTS, text=True, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL), **pipes)
+    process = subprocess.Popen(words, text=True, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL), **pipes)
     assert process.stdout.readline().startswith("run stopped, actor ")
     process.send_signal(number)
     assert process.communicate(timeout=60)[1] == "stopped\n"

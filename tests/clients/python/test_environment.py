@@ -2,7 +2,6 @@
 
 import json
 import os
-import pathlib
 import queue
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import time
 import grpc
 import numpy as np
 import pytest
-from conftest import CLIENTS, SMALL, command
+from conftest import PLACES, SMALL, command
 from games import STEPS, Follow, Push
 from gymnasium import spaces
 from s2mia import wire
@@ -154,7 +153,7 @@ def test_streams_are_spread_over_workers_and_a_worker_that_ends_is_replaced(offe
 
 
 def test_environments_that_cannot_be_made_end_the_server_with_one_line():
-    places = {**os.environ, "PYTHONPATH": os.pathsep.join([str(CLIENTS), str(pathlib.Path(__file__).parent)])}
+    places = {**os.environ, "PYTHONPATH": PLACES}
     for workers in ("1", "2"):
         arguments = [sys.executable, "-m", "s2mia_environment", "--listen", "127.0.0.1:0", "--workers", workers]
         arguments += ["games:Push", "low=1"]

@@ -1,7 +1,6 @@
 """Environments with faults: one line says what is wrong, and the author's own errors keep their traceback."""
 
 import os
-import pathlib
 import signal
 import socket
 import subprocess
@@ -10,7 +9,7 @@ import sys
 import grpc
 import numpy as np
 import pytest
-from conftest import CLIENTS
+from conftest import PLACES
 from faulty_games import Attribute, Described, Game, Late, Misspelt, Old, Turns, Unfinished
 from gymnasium import spaces
 from pettingzoo.utils.wrappers import BaseParallelWrapper
@@ -18,7 +17,6 @@ from s2mia import wire
 from s2mia_environment import InvalidEnvironment, Parallel
 from s2mia_environment.parallel import Box
 
-PLACES = os.pathsep.join([str(CLIENTS), str(pathlib.Path(__file__).parent)])
 ALL = "; all agents of possible_agents, and no others, take part from the first step to the last"
 STAY = [np.zeros(1, np.float32)] * 2
 

@@ -1,23 +1,32 @@
-"""The Python package: its wheel works in an empty folder, its examples run, and its types are complete."""
+"""The Python package: its wheel works in a new environment and an empty folder, its examples run, and its types are complete."""
 
 import filecmp
+import json
 import os
 import pathlib
 import re
 import subprocess
 import sys
+from importlib import metadata
 
 import pytest
-from conftest import CLIENTS, FEW, ROOT, SMALL, command, s2mia_run
+from conftest import FEW, ROOT, SMALL, command, s2mia_run
+
+CLIENTS = ROOT / "clients" / "python"
+# All that the wheel needs with its extra `environment`.
+NEEDED = "cloudpickle|farama-notifications|grpcio|grpcio-tools|gymnasium|numpy|pettingzoo|protobuf|setuptools|typing-extensions"
 
 
-def python(*arguments, cwd, path=CLIENTS) -> str:
-    """What Python prints with the packages in `path`; fails with its last words if it fails."""
-    environment = {**os.environ, "PYTHONPATH": str(path), "PYTHONDONTWRITEBYTECODE": "1"}
-    words = [sys.executable, *map(str, arguments)]
-    done = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
+def succeed(words, cwd) -> str:
+    """What a program prints; fails with its last words if it fails."""
+    done = subprocess.run([*map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, f"{words}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+def python(*arguments, cwd) -> str:
+    """What Python prints."""
+    return succeed([sys.executable, *arguments], cwd)
 
 
 def examples(heading: str) -> list[str]:
@@ -27,47 +36,57 @@ def examples(heading: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", section, re.DOTALL)
 
 
-def listing() -> set[pathlib.Path]:
-    """All files of the package's folder, except compiled ones."""
-    return {path for path in CLIENTS.rglob("*") if "__pycache__" not in path.parts}
-
-
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder with the installed wheel. The build leaves nothing in the repository."""
-    folder, before = tmp_path_factory.mktemp("wheel"), listing()
-    pip = ["-m", "pip", "--disable-pip-version-check"]
-    offline = ["--quiet", "--no-index", "--no-deps"]
-    python(*pip, "wheel", *offline, "--no-build-isolation", "--wheel-dir", folder, CLIENTS, cwd=folder)
-    (wheel,) = folder.glob("s2mia-*.whl")
-    python(*pip, "install", *offline, "--target", folder / "site", wheel, cwd=folder)
-    assert listing() == before
-    return folder / "site"
+def fresh(tmp_path_factory):
+    """A new environment with the wheel from which this one has the package, and with what the wheel says that it needs."""
+    folder = tmp_path_factory.mktemp("fresh")
+    wheel = json.loads(metadata.distribution("s2mia").read_text("direct_url.json"))["url"]
+    locked = (ROOT / "tests" / "python" / "requirements.txt").read_text()
+    needed = re.finditer(rf"^(?:{NEEDED})==.*(?:\n    --hash=.*)*\n", locked, re.MULTILINE)
+    (folder / "needed.txt").write_text("".join(found[0] for found in needed))
+    python("-m", "venv", folder / "venv", cwd=folder)
+    pip = [folder / "venv" / "bin" / "pip", "--quiet", "--disable-pip-version-check", "install"]
+    succeed([*pip, "--require-hashes", "--only-binary", ":all:", "--requirement", "needed.txt"], folder)
+    succeed([*pip, "--no-index", f"s2mia[environment] @ {wheel}"], folder)
+    return folder / "venv"
 
 
-def test_the_wheel_holds_the_proto_files_and_every_module(installed):
+@pytest.fixture
+def empty(tmp_path):
+    """An empty folder."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    return folder
+
+
+def test_the_wheel_holds_the_proto_files_and_every_module(fresh):
+    (site,) = (fresh / "lib").glob("python*/site-packages")
     files = [path.relative_to(ROOT / "proto" / "proto") for path in (ROOT / "proto" / "proto").rglob("*.proto")]
     assert len(files) > 5
-    assert filecmp.cmpfiles(ROOT / "proto" / "proto", installed / "s2mia" / "proto", files, shallow=False)[0] == files
+    assert filecmp.cmpfiles(ROOT / "proto" / "proto", site / "s2mia" / "proto", files, shallow=False)[0] == files
     for package in ("s2mia", "s2mia_environment"):
-        assert {path.name for path in (CLIENTS / package).glob("*.py*")} == {
-            path.name for path in (installed / package).glob("*.py*")
-        }
-    assert (installed / "s2mia" / "py.typed").is_file()
+        modules = [path.name for path in (CLIENTS / package).glob("*.py*")]
+        assert filecmp.cmpfiles(CLIENTS / package, site / package, modules, shallow=False)[0] == modules
+    assert (site / "s2mia" / "py.typed").is_file()
 
 
-def test_the_installed_package_acts_and_is_an_actor_in_an_empty_folder(installed, trained, serve, tmp_path):
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    load = f"import s2mia; print(s2mia.__file__, len(s2mia.load({str(trained)!r}).act([[0] * 9] * 2)))"
-    place, count = python("-c", load, cwd=empty, path=installed).split()
-    assert (pathlib.Path(place).parent, count) == (installed / "s2mia", "2")
+def test_the_installed_program_trains_in_an_empty_folder_and_the_package_loads_the_run(fresh, empty):
+    assert "iteration" in succeed([fresh / "bin" / "s2mia", "train", "cue-2x1", "run.iterations=2"], empty)
+    (run,) = (empty / "runs").iterdir()
+    load = f"import s2mia; print(s2mia.__file__, s2mia.__version__, len(s2mia.load({str(run)!r}).act([[0] * 9] * 2)))"
+    place, version, count = succeed([fresh / "bin" / "python", "-I", "-c", load], empty).split()
+    assert fresh in pathlib.Path(place).parents
+    assert succeed([fresh / "bin" / "s2mia", "--version"], empty).split()[1].split("+")[0] == version
+    assert count == "2"
+
+
+def test_the_installed_package_is_an_actor_in_an_empty_folder(fresh, serve, empty):
     learner = serve("wheel", FEW)
-    told = python("-m", "s2mia.actor", learner.url, cwd=empty, path=installed)
+    told = succeed([fresh / "bin" / "python", "-I", "-m", "s2mia.actor", learner.url], empty)
     assert re.search(r"the run is over; [1-9]\d* leases completed", told)
     assert "finished after iteration 2" in learner.finish()
     served = "from s2mia import environment; print(environment.serve.__module__)"
-    assert python("-c", served, cwd=empty, path=installed) == "s2mia_environment.server\n"
+    assert succeed([fresh / "bin" / "python", "-I", "-c", served], empty) == "s2mia_environment.server\n"
     assert list(empty.iterdir()) == []
 
 
@@ -80,7 +99,7 @@ def test_loading_policies_needs_neither_grpc_nor_pandas(trained, tmp_path):
 
 def test_an_actor_without_a_learner_ends_with_one_line(tmp_path):
     words = [sys.executable, "-m", "s2mia.actor", "10.0.0.5:50051"]
-    done = subprocess.run(words, cwd=CLIENTS, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr == "10.0.0.5:50051: plain text to another machine needs tls or insecure_allow_remote=True\n"
 
