@@ -15,7 +15,6 @@ ends of episodes. Speeds are means in the root's own heading. The ratio is MuJoC
 import argparse
 import dataclasses
 import json
-import os
 import pathlib
 import shutil
 import subprocess
@@ -26,10 +25,11 @@ import zipfile
 import mujoco
 import numpy
 import onnxruntime
+from debian import ROOT
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from program import evaluated, s2mia
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
 TASKS = ROOT / "docs" / "robots"
 EPISODES = 5
 
@@ -63,15 +63,6 @@ FOLDERS = {
 PARTS = {".obj", ".png", ".stl", ".xml"}
 # Our own documents beside a vendor's, which has no floor.
 WORLDS = {"b2": "b2/b2-world.xml"}
-
-
-def s2mia(*arguments):
-    """What the program prints."""
-    binary = os.environ.get("S2MIA", ROOT / "target" / "release" / "s2mia")
-    done = subprocess.run([binary, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
-    if done.returncode:
-        sys.exit(f"s2mia {' '.join(map(str, arguments))} failed")
-    return done.stdout
 
 
 def package(name, out):
@@ -284,7 +275,7 @@ def row(robot, options):
     task = prepared(robot, options.out, options.menagerie)
     print(s2mia("task", "check", task).splitlines()[-1], file=sys.stderr)
     run = trained(task, options.out, options.steps, options.seed)
-    returns = [episode["return"] for episode in json.loads(s2mia("eval", run, "--json"))["episodes"]]
+    returns = [total for total, _ in evaluated(run)]
     (full, speed), (full_there, speed_there) = compared(task, run, options.out / robot)
     steps, rate = progress(run)
     cells = [robot, f"{rate:.0f}", f"{steps:,}", f"{numpy.mean(returns):.0f}", f"{full}", f"{speed:.2f}"]

@@ -5,6 +5,7 @@ import subprocess
 
 import numpy as np
 import pytest
+import s2mia
 from conftest import SMALL, command
 from gymnasium_robotics import mamujoco_v1
 from s2mia import wire
@@ -101,6 +102,32 @@ def test_the_agents_of_published_tasks_control_consecutive_joints_from_the_thigh
     assert [list(agent.joints) for agent in batch.spec.agents] == [
         joints[agent * each : (agent + 1) * each] for agent in range(agents)
     ]
+
+
+# What MuJoCo numbers in the coordinates of Ant's free joint.
+ROOT = {
+    "position": ["x", "y", "z", "qw", "qx", "qy", "qz"],
+    "velocity": ["x", "y", "z", "wx", "wy", "wz"],
+}
+
+
+def own_name(feature: str) -> str:
+    """The name that the simulator's own task has for a feature of MuJoCo's state."""
+    joint, kind, *number = feature.replace("_joint", "").split(".")
+    return f"{joint}.{ROOT[kind][int(number[0])]}.{kind}" if number else f"{joint}.{kind}"
+
+
+@EACH_TASK
+def test_policies_find_the_same_features_and_joints_in_the_same_order_here_and_in_mujoco(scenario, agent_conf, joints):
+    own = s2mia.parallel_env(f"{scenario.lower()}-{agent_conf}").task
+    there = multi_agent(scenario, agent_conf, observation="full_id").spec
+    assert [own_name(feature.name) for feature in there.state[: len(own.state)]] == own.state
+    assert {feature.name.split(".")[0] for feature in there.state[len(own.state) :]} <= {"contact"}
+    for agent, mine in zip(there.agents, own.agents, strict=True):
+        assert [joint.replace("_joint", "") for joint in agent.joints] == [
+            joint.replace("hip_", "hip").replace("ankle_", "ankle") for joint in mine.joints
+        ]
+        assert {(agent.action.low, agent.action.high)} == {tuple(limits) for limits in mine.control_ranges}
 
 
 def test_an_agent_of_ant_2x4d_has_opposite_legs():
