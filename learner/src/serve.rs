@@ -4,6 +4,5 @@ pub(crate) mod accepting;
 pub mod health;
 pub mod listener;
 pub mod page;
-pub(crate) mod served_agents;
 pub mod service;
 pub(crate) mod token;

@@ -21,6 +21,7 @@ pub mod randomness;
 pub mod setting;
 pub mod snapshot;
 pub mod standardisation;
+mod team;
 
 pub use acting::{ActorPolicy, ActorSpec, Scratch};
 pub use arrays::{Array, NamedArrays};
@@ -36,3 +37,4 @@ pub use randomness::{Draw, DrawKey, Purpose, RunSeed, generator, standard_normal
 pub use setting::SettingError;
 pub use snapshot::{PolicySnapshot, digest};
 pub use standardisation::Standardisation;
+pub use team::Team;

@@ -76,6 +76,12 @@ impl Draw {
         Self { purpose: Purpose::Action, iteration, environment, step, agent }
     }
 
+    /// The noise of an agent's action in a step of an episode of a trained team, in the given environment.
+    #[must_use]
+    pub fn of_served_action((episode, environment): (u64, u32), step: u32, agent: u32) -> Self {
+        Self { purpose: Purpose::ServedAction, iteration: episode, environment, step, agent }
+    }
+
     /// With this iteration (or episode index).
     #[must_use]
     pub fn iteration(self, iteration: u64) -> Self {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use policy::{ActorPolicy, Draw, PolicySnapshot, Purpose, RunSeed, Scratch, generator};
+use policy::{ActorPolicy, Draw, PolicySnapshot, RunSeed, Scratch, generator};
 use proto::ActionChoice;
 use sim::{EnvironmentBatch, Outcome};
 
@@ -97,7 +97,7 @@ impl Agents {
     pub(crate) fn choose(&mut self, policy: &PolicySnapshot, choice: ActionChoice, step: u32) {
         let ActionChoice::Sampled { seed } = choice else { return self.select_modes(policy) };
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let key = Draw::of(Purpose::ServedAction).step(step).agent(agent as u32);
+            let key = Draw::of_served_action((0, 0), step, agent as u32);
             let mut rng = generator(RunSeed(seed), key);
             policy.draw(&self.output[agent], &mut rng, &mut self.action[agent]);
         }

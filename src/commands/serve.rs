@@ -11,6 +11,7 @@ use learner::lease::published::Published;
 use learner::serve::service::{ServedPolicies, serve_policies};
 use learner::store::checkpoint::Loaded;
 use learner::store::run_folder::RunFolder;
+use policy::RunSeed;
 use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
 use tokio::sync::watch;
 
@@ -68,7 +69,11 @@ const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// A run whose policies are served.
 struct ServedRun {
     path: PathBuf,
+    algorithm: String,
+    seed: RunSeed,
     environment: EnvironmentSpec,
+    /// Of each agent.
+    control_ranges: Vec<Vec<[f32; 2]>>,
     /// Of each agent.
     hidden_sizes: Vec<u32>,
     newest: watch::Sender<Arc<Published>>,
@@ -88,14 +93,21 @@ impl ServedRun {
         let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
         let newest = Arc::new(policies(loaded, &environment, &hidden_sizes)?);
         let newest = watch::Sender::new(newest);
-        Ok(Self { path: folder.to_path_buf(), environment, hidden_sizes, newest })
+        let agents = 0..environment.agents.len();
+        let control_ranges = agents.map(|agent| hosted.environment.control_ranges(agent)).collect();
+        let algorithm = config.resolved.text("algorithm").to_owned();
+        let (path, seed) = (folder.to_path_buf(), RunSeed(config.run.seed));
+        Ok(Self { path, algorithm, seed, environment, control_ranges, hidden_sizes, newest })
     }
 
     /// The policies that the service hands out, always the newest loaded ones.
     fn policies(&self) -> ServedPolicies {
         ServedPolicies {
             run_id: run_path::name(&RunFolder::of(&self.path)),
+            algorithm: self.algorithm.clone(),
+            seed: self.seed,
             environment: self.environment.clone(),
+            control_ranges: self.control_ranges.clone(),
             newest: self.newest.subscribe(),
         }
     }

@@ -197,6 +197,7 @@ async fn the_service_describes_its_agents_and_weights() {
         agent: Some(agent.to_wire()),
         hidden_size: 8,
         distribution: wire::ActionDistribution::Gaussian.into(),
+        control_ranges: vec![wire::ControlRange { low: -1.0, high: 1.0 }; agent.joints.len()],
     };
     let expected = wire::DescribePolicyResponse {
         run_id: "trained".to_owned(),
@@ -204,6 +205,8 @@ async fn the_service_describes_its_agents_and_weights() {
         task: environment.task,
         weights: Some(weights.to_wire()),
         dt_secs: environment.dt_secs,
+        algorithm: "happo-s2mia".to_owned(),
+        seed: 7,
     };
     assert_eq!(described, expected);
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;

@@ -1,4 +1,4 @@
-"""Compares the runs of a folder, then plays one of its trained teams in the game `cue-2x1`, with NumPy and pandas.
+"""Compares the runs of a folder, then plays one of its trained teams in the game `cue-2x1`.
 
     s2mia train cue-2x1 run.dir=runs/cue
     python play_a_trained_team.py runs/cue
@@ -9,9 +9,7 @@ The marks `# %%` divide it into cells for editors that run cells.
 # %%
 import sys
 
-import numpy as np
 import s2mia
-from s2mia.cue import STEPS, Cue
 
 folder = sys.argv[1]
 
@@ -25,26 +23,22 @@ print(returns.rolling(10, min_periods=1).mean().iloc[:: max(1, len(returns) // 5
 
 # %% The newest policies of a run whose task is the game.
 games = table[table["task"] == "cue-2x1"]
-team = s2mia.load(games["folder"].iloc[0])
-for index, agent in enumerate(team.agents):
-    print(f"agent {index}: {agent.observation_size} numbers observed, one of {agent.choices} choices made")
+newest = games["folder"].iloc[0]
+for agent in s2mia.load(newest).agents:
+    print(f"{agent.name}: {agent.observation_size} numbers observed, one of {agent.choices} choices made")
 
 
-# %% Many games at once. The leading axis of observations [E, N, obs] and actions [E, N, act] is the environment.
-def play(environments: int, rng: np.random.Generator, *, sampled: bool) -> float:
-    """Mean return of one game in each environment, with the most likely or with sampled choices."""
-    games = [Cue() for _ in range(environments)]
-    for episode, game in enumerate(games):
-        game.reset(episode, STEPS, rng)
-    team.reset()
+# %% Many games at once: observations [E, N, obs] and choices [E, N] of E environments.
+def play(team: s2mia.Policies, environments: int) -> float:
+    """Mean return of one game in each environment."""
+    envs = s2mia.vector_env("cue-2x1", num_envs=environments, seed=1)
+    observations, _ = envs.reset()
     total = 0.0
-    for _ in range(STEPS):
-        observations = np.stack([game.observe()[1] for game in games])
-        actions = team.act(observations, rng if sampled else None)
-        total += sum(game.step(list(own))[0] for game, own in zip(games, actions, strict=True))
+    for _ in range(envs.task.episode_steps):
+        observations, rewards, *_ = envs.step(team.act(observations))
+        total += float(rewards.sum())
     return total / environments
 
 
-rng = np.random.default_rng(1)
-print(f"most likely choices: {play(20, rng, sampled=False):.1f} of {STEPS}")
-print(f"sampled choices: {play(20, rng, sampled=True):.1f} of {STEPS}")
+print(f"most likely choices: {play(s2mia.load(newest), 20):.1f} of 50")
+print(f"sampled choices: {play(s2mia.load(newest, seed=1), 20):.1f} of 50")

@@ -1,24 +1,26 @@
-"""s2mia in Python: the simulator, trained policies with NumPy, tables of runs with pandas, and clients of the gRPC services.
+"""s2mia in Python: the simulator, training, trained policies, tables of runs, and clients of the gRPC services.
 
     parallel.py     the simulator as a PettingZoo `ParallelEnv`: `parallel_env`
     vector.py       as a Gymnasium `VectorEnv` of teams: `vector_env`
     single.py       as a Gymnasium `Env` with one agent: `gym_env`
     simulator.py    what these have in common
-    checkpoint.py   finds and verifies the policies of a run folder
-    policies.py     acts by them: `load`
-    policy.py       the networks and distributions in a snapshot
+    run.py          trains with the program, and reads a run: `train`, `Run`
+    settings.py     settings as keywords
+    policies.py     trained policies in this process: `load`
+    team.py         trained policies that a server computes: `Team`
+    acting.py       what both have in common
     tables.py       settings and metrics of runs as data frames: `runs`
     control.py      queries and controls a learner: `Client`
     connection.py   addresses and certificates: `Tls`
     learner.py      connection of an actor to a learner: `Learner`
     actor.py        computes leased work in any environment: `act_for`, and `python -m s2mia.actor`
+    policy.py       the networks and distributions with which it acts
     cue.py          an environment: the game `cue-2x1`
-    team.py         client of served policies: `Team`
     arguments.py    arguments of programs
     environment.py  server of environments: the package `s2mia_environment`
     wire.py         the messages
 
-Modules that need gRPC, pandas, PettingZoo or Gymnasium are imported when a name from them is first used.
+A module is imported when a name from it is first used: gRPC, pandas, PettingZoo and Gymnasium are needed only then.
 """
 
 import importlib
@@ -26,8 +28,6 @@ from typing import TYPE_CHECKING, Any
 
 from s2mia._native import VERSION as __version__
 from s2mia.error import RunError
-from s2mia.policies import Policies, load
-from s2mia.policy import Policy
 
 if TYPE_CHECKING:
     from s2mia.actor import act_for
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from s2mia.control import Client, Progress, Status
     from s2mia.learner import Learner
     from s2mia.parallel import parallel_env
+    from s2mia.policies import Policies, load
+    from s2mia.run import Run, train
     from s2mia.single import gym_env
     from s2mia.tables import Runs, runs
     from s2mia.team import Team
@@ -44,8 +46,8 @@ __all__ = [
     "Client",
     "Learner",
     "Policies",
-    "Policy",
     "Progress",
+    "Run",
     "RunError",
     "Runs",
     "Status",
@@ -56,21 +58,26 @@ __all__ = [
     "load",
     "parallel_env",
     "runs",
+    "train",
     "vector_env",
 ]
 
 _MODULES = {
     "Client": "control",
     "Learner": "learner",
+    "Policies": "policies",
     "Progress": "control",
+    "Run": "run",
     "Runs": "tables",
     "Status": "control",
     "Team": "team",
     "Tls": "connection",
     "act_for": "actor",
     "gym_env": "single",
+    "load": "policies",
     "parallel_env": "parallel",
     "runs": "tables",
+    "train": "run",
     "vector_env": "vector",
 }
 

@@ -3,11 +3,14 @@
 import dataclasses
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from s2mia import wire
 from s2mia.connection import Connection, Tls
 from s2mia.name import printable
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,7 +152,7 @@ class Client:
         """Closes the connection."""
         self._connection.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Self":
         return self
 
     def __exit__(

@@ -1,5 +1,5 @@
-"""The error of files that cannot be used."""
+"""The error of runs."""
 
 
 class RunError(ValueError):
-    """A run folder, checkpoint or snapshot that cannot be used; one line with the file and the reason."""
+    """A run that failed, or a run folder or checkpoint that cannot be used; one line with the reason."""

@@ -63,7 +63,7 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
             (name, slice(*ends[index : index + 2])) for index, name in enumerate(self.possible_agents)
         ]
         self._names = set(self.possible_agents)
-        # A choice may be a number or an array of one, as `s2mia.load` returns it.
+        # A choice may be a number or an array of one.
         shapes = [((agent.action_size,), (agent.action_size,) if agent.choices is None else ()) for agent in agents]
         self._shapes = list(zip(self.possible_agents, shapes, strict=True))
 

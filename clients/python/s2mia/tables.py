@@ -1,20 +1,26 @@
 """Settings and metrics of runs as pandas data frames."""
 
-import json
 import os
 import pathlib
-import tomllib
+import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from s2mia.checkpoint import POLICY, read
 from s2mia.error import RunError
+from s2mia.run import lines, parsed, read
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 try:
     import pandas as pd
 except ModuleNotFoundError as missing:
     raise ModuleNotFoundError("s2mia.runs needs pandas: pip install 's2mia[pandas]'") from missing
 
+# The file of policies in a checkpoint.
+POLICY = "policy.safetensors"
 # Settings that every table shows.
 _ALWAYS = ["task", "algorithm", "run.seed"]
 # Settings that differ between runs without a meaning for the result.
@@ -49,8 +55,8 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
         raise RunError(f"{root} holds no run: no folder in it has a config.toml and a manifest.json")
     names = [str(path.relative_to(root)) if path != root else path.resolve().name for path in found]
     settings = pd.DataFrame([_settings(path / "config.toml") for path in found], index=pd.Index(names, name="run"))
-    lines = [{"run": name, **line} for name, path in zip(names, found, strict=True) for line in _lines(path)]
-    metrics, evaluations = _of_kind(lines, "iteration"), _of_kind(lines, "evaluation")
+    figures = [{"run": name, **line} for name, path in zip(names, found, strict=True) for line in lines(path)]
+    metrics, evaluations = _of_kind(figures, "iteration"), _of_kind(figures, "evaluation")
     others = [name for name in settings if name not in (*_ALWAYS, *_NEVER)]
     shown = [*_ALWAYS, *(name for name in others if settings[name].astype(str).nunique(dropna=False) > 1)]
     table = settings.reindex(columns=shown)
@@ -62,7 +68,7 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
         (evaluations, "mean", "evaluation"),
     ]:
         table[name] = source.groupby("run")[column].last() if column in source else None
-    manifests = [_manifest(path / "manifest.json") for path in found]
+    manifests = [parsed(read(file), file) for file in (path / "manifest.json" for path in found)]
     for name in _MANIFEST:
         table[name] = [manifest.get(name) for manifest in manifests]
     return Runs(table, metrics, evaluations)
@@ -103,32 +109,6 @@ def _settings(path: pathlib.Path) -> dict[str, Any]:
         raise
     except ValueError as error:
         raise RunError(f"{path} is damaged: {error}") from None
-
-
-def _manifest(path: pathlib.Path) -> dict[str, Any]:
-    return _object(read(path), str(path))
-
-
-def _object(text: bytes, place: str) -> dict[str, Any]:
-    """The JSON object in `text`."""
-    try:
-        found = json.loads(text)
-    except ValueError as error:
-        raise RunError(f"{place} is damaged: {error}") from None
-    if not isinstance(found, dict):
-        raise RunError(f"{place} is damaged: it is no JSON object")
-    return found
-
-
-def _lines(run: pathlib.Path) -> list[dict[str, Any]]:
-    """The lines of `metrics.jsonl`. A run that is writing may have an unfinished last line, which is omitted."""
-    path = run / "metrics.jsonl"
-    data = read(path) if path.exists() else b""
-    lines = [_object(line, f"{path}:{number}") for number, line in enumerate(data.split(b"\n")[:-1], 1)]
-    for number, line in enumerate(lines, 1):
-        if not isinstance(line.get("kind"), str):
-            raise RunError(f"{path}:{number} is damaged: it has no kind")
-    return lines
 
 
 def _of_kind(lines: list[dict[str, Any]], kind: str) -> pd.DataFrame:

@@ -1,19 +1,16 @@
 """Client of the policies that `s2mia serve` serves: sends observations, receives actions."""
 
+import dataclasses
 import queue
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from s2mia import wire
+from s2mia.acting import Acting, Agent, Description, Floats, checked_seed
 from s2mia.connection import Connection, Tls
-from s2mia.policy import Floats
 
 
-class Team:
-    """One stream: one team in one world. The server keeps the agents' recurrent states."""
+class Team(Acting):
+    """One stream: one team in one environment. The server keeps the agents' recurrent states."""
 
     def __init__(
         self,
@@ -29,41 +26,78 @@ class Team:
         invalid address or certificate. Raises `ConnectionError`, as every call, if the server does not answer or
         refuses the call.
         """
+        own = checked_seed(seed)
         self._connection = Connection(
             address, wire.PolicyServiceStub, tls, insecure_allow_remote=insecure_allow_remote
         )
-        self.channel, self.service = self._connection.channel, self._connection.service
         try:
-            self.description = self._connection.first_call("DescribePolicy", wire.DescribePolicyRequest())
+            answer = self._connection.first_call("DescribePolicy", wire.DescribePolicyRequest())
         except ConnectionError:
             self._connection.close()
             raise
+        super().__init__(_description(answer))
         mean = wire.ActStart(mean=wire.MeanAction())
-        start = mean if seed is None else wire.ActStart(sampled=wire.SampledAction(seed=seed))
-        self.weights = self.description.weights
+        start = mean if own is None else wire.ActStart(sampled=wire.SampledAction(seed=own))
+        self._starts = True
         self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._requests.put(wire.ActRequest(start=start))
         with self._connection.errors():
-            self._answers = self.service.Act(iter(self._requests.get, None))
-
-    def act(self, observations: Mapping[int, ArrayLike], reset: bool = False) -> dict[int, Floats]:
-        """Returns an action `[act]` for each observation `[obs]`, by agent index. `reset` starts an episode.
-
-        Continuous actions are in units of half a range (-1 and 1 are the limits) and not clamped.
-        """
-        rows = [
-            wire.AgentObservation(agent=agent, observation=wire.tensor(np.asarray(row)))
-            for agent, row in observations.items()
-        ]
-        with self._connection.errors():
-            self._requests.put(wire.ActRequest(step=wire.ActStep(reset=reset, observations=rows)))
-            answer = next(self._answers, None)
-        if answer is None:
-            raise ConnectionError(f"{self._connection.address}: the server ended the stream")
-        self.weights = answer.weights
-        return {row.agent: wire.array(row.action) for row in answer.actions}
+            self._answers = self._connection.service.Act(iter(self._requests.get, None))
 
     def close(self) -> None:
         """Ends the stream."""
         self._requests.put(None)
         self._connection.close()
+
+    def _begin(self, environments: int) -> None:
+        if environments != 1:
+            raise ValueError(f"observations of {environments} environments; a served team acts in one")
+        self._starts = True
+
+    def _restart(self, environment: int) -> None:
+        self._starts = True
+
+    def _step(self, rows: dict[int, Floats]) -> dict[int, Floats]:
+        observations = [
+            wire.AgentObservation(agent=agent, observation=wire.tensor(row[0])) for agent, row in rows.items()
+        ]
+        step = wire.ActStep(reset=self._starts, observations=observations)
+        with self._connection.errors():
+            self._requests.put(wire.ActRequest(step=step))
+            answer = next(self._answers, None)
+        if answer is None:
+            raise ConnectionError(f"{self._connection.address}: the server ended the stream")
+        self._starts = False
+        self.description = dataclasses.replace(self.description, **_weights(answer.weights))
+        return {row.agent: wire.array(row.action)[None] for row in answer.actions}
+
+
+def _weights(name: Any) -> dict[str, Any]:
+    """The fields of a description that change with the weights."""
+    return {"iteration": name.version, "policy_sha256": name.digest.hex()}
+
+
+def _description(answer: Any) -> Description:
+    return Description(
+        run=answer.run_id,
+        task=answer.task,
+        algorithm=answer.algorithm,
+        seed=answer.seed,
+        dt_secs=answer.dt_secs,
+        agents=[_agent(own) for own in answer.agents],
+        **_weights(answer.weights),
+    )
+
+
+def _agent(own: Any) -> Agent:
+    return Agent(
+        name=own.agent.name,
+        observation_size=len(own.agent.observation),
+        features=[feature.name for feature in own.agent.observation],
+        joints=list(own.agent.joints),
+        action_size=own.agent.action.size,
+        choices=own.agent.action.choices or None,
+        control_ranges=[[range.low, range.high] for range in own.control_ranges],
+        distribution=wire.ActionDistribution.Name(own.distribution).removeprefix("ACTION_DISTRIBUTION_").lower(),
+        hidden_size=own.hidden_size,
+    )

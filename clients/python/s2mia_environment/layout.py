@@ -16,7 +16,7 @@ WALKER_SPEED = 10.0
 AGENT_FORCE = 1.0
 
 
-class View(enum.StrEnum):
+class View(str, enum.Enum):
     """What an agent observes; the names are those of `observation.mode`."""
 
     FULL_ID = "full_id"

@@ -8,6 +8,8 @@ use pyo3::types::PyByteArray;
 use s2mia::embedded;
 use sim::{Disturbances, Outcome};
 
+use crate::arrays::{bytes, numbers, refused};
+
 /// An agent: name, joints, features of its observation, size of its action, choices of a discrete one, and the controls to
 /// which the actions -1 and 1 are mapped.
 type Agent = (String, Vec<String>, Vec<String>, usize, Option<u32>, Vec<[f32; 2]>);
@@ -61,8 +63,7 @@ impl Environments {
     /// Steps all environments with the actions `[E, A]`. Returns observations `[E, O]`, rewards, terminations, truncations and
     /// faults, `[E]`.
     fn step<'py>(&self, py: Python<'py>, actions: &[u8]) -> PyResult<[Bound<'py, PyByteArray>; 5]> {
-        let (words, _) = actions.as_chunks();
-        let actions: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
+        let actions = numbers(actions);
         let columns = self.locked(py, |inner| {
             inner.step(&actions)?;
             let flags = |flag: fn(&Outcome) -> bool| -> Vec<u8> {
@@ -139,14 +140,4 @@ impl Environments {
 #[pyfunction]
 pub(crate) fn task_names() -> Vec<&'static str> {
     sim::task_names().to_vec()
-}
-
-/// An error in one line.
-fn refused(error: embedded::Error) -> PyErr {
-    PyValueError::new_err(embedded::line(&error))
-}
-
-/// Numbers as bytes that NumPy reads in place.
-fn bytes(numbers: impl Iterator<Item = f32>) -> Vec<u8> {
-    numbers.flat_map(f32::to_le_bytes).collect()
 }

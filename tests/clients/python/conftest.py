@@ -20,6 +20,8 @@ PLACES = os.pathsep.join(filter(None, [str(pathlib.Path(__file__).parent), os.en
 SMALL = ["cue-2x1", "run.seed=3", "evaluation.episodes=2", "checkpoint.every=10"]
 FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
 FEW += ["environments.per_slot=4", "environments.message_steps=10"]
+ROBOT = ["halfcheetah-6x1", "run.seed=7", "run.iterations=2", "run.actors=1", "environments.count=4"]
+ROBOT += ["environments.steps=20", "environments.per_slot=2", "environments.message_steps=10", "evaluation.episodes=1"]
 MANY = [*SMALL, "run.env_steps=30000", "evaluation.every_steps=10000"]
 
 

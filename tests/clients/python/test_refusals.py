@@ -7,9 +7,10 @@ import subprocess
 
 import numpy as np
 from conftest import FEW, ROOT, command, hashes, refusal
-from s2mia import Learner, Policy, wire
+from s2mia import Learner, wire
 from s2mia.actor import Slot
 from s2mia.cue import Cue
+from s2mia.policy import Policy
 
 NAN = np.float32("nan")
 

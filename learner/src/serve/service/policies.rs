@@ -4,9 +4,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use policy::{ActorPolicy, Head};
+use policy::{ActorPolicy, Head, RunSeed, Team};
 use proto::wire::policy_service_server::{self, PolicyService, PolicyServiceServer};
-use proto::{ActStep, ActionChoice, EnvironmentSpec, MAX_MESSAGE_BYTES, Refusal, wire};
+use proto::{ActStep, Acted, ActionChoice, EnvironmentSpec, MAX_MESSAGE_BYTES, Refusal, wire};
 use security::Role;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
@@ -18,7 +18,6 @@ use super::{COMPILED, bodies, connections, deadline, reflection, server};
 use crate::lease::exchange::Caller;
 use crate::lease::published::Published;
 use crate::serve::listener::Listener;
-use crate::serve::served_agents::ServedAgents;
 
 /// Actors register with learners only.
 const NO_ACTORS: usize = 0;
@@ -36,8 +35,14 @@ const SERVICES: [&str; 1] = [policy_service_server::SERVICE_NAME];
 pub struct ServedPolicies {
     /// Id of the run.
     pub run_id: String,
+    /// Name of the run's algorithm.
+    pub algorithm: String,
+    /// Seed of the run.
+    pub seed: RunSeed,
     /// The environment in which the policies were trained.
     pub environment: EnvironmentSpec,
+    /// For each agent, the controls for the actions -1 and 1 of each number of its action; empty without a simulated robot.
+    pub control_ranges: Vec<Vec<[f32; 2]>>,
     /// The newest version of the policies.
     pub newest: watch::Receiver<Arc<Published>>,
 }
@@ -159,14 +164,50 @@ async fn answer_steps(
     Ok(())
 }
 
+/// All agents of the environment that a client steps.
+#[derive(Debug)]
+struct ServedAgents {
+    weights: Arc<Published>,
+    team: Team,
+}
+
+impl ServedAgents {
+    /// Agents at the start of their first episode.
+    fn new(weights: Arc<Published>, choice: ActionChoice) -> Self {
+        let seed = match choice {
+            ActionChoice::Mean => None,
+            ActionChoice::Sampled { seed } => Some(RunSeed(seed)),
+        };
+        let team = Team::new(&weights.policy, 1, seed);
+        Self { weights, team }
+    }
+
+    /// Starts an episode with these weights, whose recurrent states have the sizes of those before.
+    fn reset(&mut self, weights: Arc<Published>) {
+        self.team.reset(0);
+        self.weights = weights;
+    }
+
+    /// Computes actions for the observations of a validated step.
+    fn act(&mut self, step: &ActStep) -> Acted {
+        let Self { weights, team } = self;
+        let rows = step.observations.iter();
+        let actions = rows.map(|(agent, row)| (*agent, team.act(&weights.policy, *agent, row)));
+        Acted { actions: actions.collect(), weights: weights.name }
+    }
+}
+
 impl ServedPolicies {
     fn description(&self) -> wire::DescribePolicyResponse {
         let newest = self.newest.borrow();
+        let range = |[low, high]: &[f32; 2]| wire::ControlRange { low: *low, high: *high };
         let agents = self.environment.agents.iter().zip(&newest.policy.agents);
-        let agents = agents.map(|(agent, policy)| wire::PolicyAgent {
+        let agents = agents.zip(&self.control_ranges);
+        let agents = agents.map(|((agent, policy), ranges)| wire::PolicyAgent {
             agent: Some(agent.to_wire()),
             hidden_size: policy.hidden_size() as u32,
             distribution: distribution(policy.head()).into(),
+            control_ranges: ranges.iter().map(range).collect(),
         });
         wire::DescribePolicyResponse {
             run_id: self.run_id.clone(),
@@ -174,6 +215,8 @@ impl ServedPolicies {
             weights: Some(newest.name.to_wire()),
             agents: agents.collect(),
             dt_secs: self.environment.dt_secs,
+            algorithm: self.algorithm.clone(),
+            seed: self.seed.0,
         }
     }
 }

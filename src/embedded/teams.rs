@@ -1,0 +1,65 @@
+//! Trained teams and their description.
+
+use std::path::Path;
+
+use learner::store::run_folder::RunFolder;
+use policy::{ActorPolicy, Head, PolicySnapshot};
+use serde_json::json;
+use sim::EnvironmentBatch;
+
+use crate::run::offered::RunEnvironment;
+use crate::run::{run_path, stored};
+
+/// The newest policies of the run in a folder, or those of a checkpoint, and their description as JSON.
+///
+/// # Errors
+/// If there is no valid checkpoint, or the settings of the run are damaged.
+pub fn trained(run: &Path) -> anyhow::Result<(PolicySnapshot, String)> {
+    let trained = stored::trained(run)?;
+    let config = &trained.config;
+    // Another program's environment is not needed to act, so that program need not run.
+    let simulated = config.environment.url.is_empty();
+    let hosted = simulated.then(|| RunEnvironment::of(config)).transpose()?;
+    let world = hosted.as_ref().map(|hosted| hosted.environment.as_ref());
+    let spec = world.map(EnvironmentBatch::description);
+    let agents = trained.policy.agents.iter().enumerate();
+    let agents = agents.map(|(index, policy)| about_agent(index, policy, world));
+    let description = json!({
+        "run": run_path::name(&RunFolder::of(run)),
+        "task": spec.map_or_else(|| config.resolved.text("task"), |spec| &spec.task),
+        "algorithm": config.resolved.text("algorithm"),
+        "seed": config.run.seed,
+        "iteration": trained.iteration,
+        "policy_sha256": trained.weights.digest.to_string(),
+        "dt_secs": spec.map(|spec| spec.dt_secs),
+        "agents": agents.collect::<Vec<_>>(),
+    });
+    Ok((trained.policy, description.to_string()))
+}
+
+/// One agent. Only the program of an external environment knows names and limits.
+fn about_agent(
+    index: usize,
+    policy: &ActorPolicy,
+    world: Option<&dyn EnvironmentBatch>,
+) -> serde_json::Value {
+    let spec = world.map(|world| &world.description().agents[index]);
+    let names = spec.map(|spec| spec.observation.iter().map(|feature| &feature.name));
+    let (distribution, choices) = match policy.head() {
+        Head::Gaussian => ("gaussian", None),
+        Head::Categorical { choices } => ("categorical", Some(choices)),
+        Head::Deterministic { .. } => ("clamped_gaussian", None),
+        Head::Uniform { .. } => ("uniform", None),
+    };
+    json!({
+        "name": spec.map_or_else(|| format!("agent_{index}"), |spec| spec.name.clone()),
+        "observation_size": policy.observation_size(),
+        "features": names.into_iter().flatten().collect::<Vec<_>>(),
+        "joints": spec.map_or(&[][..], |spec| &spec.joints),
+        "action_size": policy.action_size(),
+        "choices": choices,
+        "control_ranges": world.map(|world| world.control_ranges(index)).unwrap_or_default(),
+        "distribution": distribution,
+        "hidden_size": policy.hidden_size(),
+    })
+}

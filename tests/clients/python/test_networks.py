@@ -1,0 +1,88 @@
+"""The actor in Python computes what the program computes, with NumPy alone."""
+
+import numpy as np
+import pytest
+import s2mia
+from conftest import ROBOT, SMALL, s2mia_run
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from s2mia.policy import Policy
+
+POLICIES = {
+    "recurrent": ROBOT,
+    "without memory": [*ROBOT, "policy.core=mlp"],
+    "with a layer norm": [*ROBOT, "policy.input_norm=layer_norm", "observation.norm=none"],
+    "squashed": [*ROBOT, "algorithm=maddpg"],
+    "of choices": [*SMALL, "run.iterations=3", "run.actors=1"],
+}
+
+
+def newest(run) -> Policy:
+    return Policy(max((run / "checkpoints").glob("iter_*/policy.safetensors")).read_bytes())
+
+
+@pytest.fixture(scope="module", params=POLICIES)
+def run(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("networks") / "run"
+    s2mia_run("train", *POLICIES[request.param], f"run.dir={folder}")
+    return folder
+
+
+def test_the_likeliest_actions_are_those_of_the_program(run):
+    team, policy, rng = s2mia.load(run), newest(run), np.random.default_rng(1)
+    hidden = [np.zeros((20, agent.hidden_size), np.float32) for agent in policy.agents]
+    for _ in range(10):
+        rows = {agent.name: rng.normal(size=(20, agent.observation_size)) for agent in team.agents}
+        for index, (own, acted) in enumerate(zip(rows.values(), team.act(rows).values(), strict=True)):
+            network = policy.agents[index]
+            output, hidden[index] = network.forward(own, hidden[index])
+            mode = network.mode(output)
+            assert np.abs(mode - acted.reshape(mode.shape)).max() < 1e-5
+
+
+def test_drawn_actions_have_the_density_that_the_policy_states(run):
+    rows, rng = 4000, np.random.default_rng(1)
+    for agent in newest(run).agents:
+        observations = np.repeat(rng.normal(size=(1, agent.spec["observation"])), rows, 0)
+        output, _ = agent.forward(observations, np.zeros((rows, agent.hidden_size), np.float32))
+        action = agent.draw(output, rng)
+        if agent.choices:
+            shares = np.bincount(action[:, 0].astype(int), minlength=agent.choices) / rows
+            stated = [np.exp(agent.log_prob(output[:1], np.array([[choice]])))[0] for choice in range(agent.choices)]
+            assert np.allclose(shares, stated, atol=0.05)
+        elif agent.distribution == "gaussian":
+            assert np.allclose(action.mean(0), output[0], atol=6 * agent.sigma() / rows**0.5)
+            assert np.allclose(action.std(0), agent.sigma(), rtol=0.1)
+            entropy = 0.5 + 0.5 * np.log(2 * np.pi) + np.log(agent.sigma()).sum()
+            assert abs(agent.log_prob(output, action).mean() + entropy) < 0.1
+        else:
+            assert np.ptp(action) > 0 and np.abs(action).max() <= 1
+
+
+def test_logged_training_steps_have_the_log_probabilities_that_numpy_computes(tmp_path):
+    logging = ["policy.core=mlp", "log.episodes=all", "checkpoint.every=1"]
+    s2mia_run("train", *ROBOT, *logging, f"run.dir={tmp_path / 'run'}")
+    team = Policy((tmp_path / "run" / "checkpoints" / "iter_00000001" / "policy.safetensors").read_bytes())
+    version, compared = None, 0
+    [log] = sorted((tmp_path / "run" / "logs").glob("trajectories-*.mcap"))
+    with log.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
+            if channel.topic == "/share":
+                version = message.weights_version if message.kind == 1 else None
+            elif channel.topic.startswith("/agents/") and version == 1:
+                agent = team.agents[int(channel.topic.removeprefix("/agents/"))]
+                output, _ = agent.forward(np.array([message.observation], np.float32), np.zeros((1, 0), np.float32))
+                stated = agent.log_prob(output, np.array([message.action], np.float32))
+                assert abs(stated[0] - message.log_prob) < 1e-5
+                compared += 1
+    assert compared == 4 * 20 * len(team.agents)
+
+
+def test_a_distribution_that_is_unknown_is_refused(run):
+    snapshot = max((run / "checkpoints").glob("iter_*/policy.safetensors")).read_bytes()
+    other = snapshot.replace(b'\\"core\\":\\"gru\\"', b'\\"core\\":\\"lru\\"').replace(
+        b'\\"core\\":\\"mlp\\"', b'\\"core\\":\\"lru\\"'
+    )
+    with pytest.raises(ValueError, match="^core lru with distribution "):
+        Policy(other)
