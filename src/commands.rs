@@ -10,6 +10,7 @@ mod film;
 mod inspect;
 mod learner;
 mod log;
+mod pack;
 mod page;
 mod plot;
 mod record;
@@ -17,6 +18,7 @@ mod refusal;
 mod serve;
 mod task;
 mod train;
+mod verify;
 mod watch;
 
 use std::any::TypeId;
@@ -89,6 +91,11 @@ pub(crate) enum Command {
     Export(export::ExportArguments),
     /// Print the contents of a run's newest valid checkpoint.
     Inspect(inspect::InspectArguments),
+    /// Compute random parts of a run again, from its seed and its checkpoints, and compare them with what it recorded.
+    /// Exit status 0: all are equal.
+    Verify(verify::VerifyArguments),
+    /// Copy what others need to verify and use a run into a new folder, without paths and addresses of this machine.
+    Pack(pack::PackArguments),
     /// List the tasks with their agents, joints and sizes.
     Tasks(task::TasksArguments),
     /// Check a task file, or write an example of one.
@@ -214,6 +221,8 @@ pub(crate) fn run(command: Command) -> anyhow::Result<()> {
         Command::Watch(arguments) => watch::run(&arguments),
         Command::Stop(learner) => control::stop(&learner),
         Command::Inspect(arguments) => inspect::inspect(&arguments),
+        Command::Verify(arguments) => verify::run(&arguments),
+        Command::Pack(arguments) => pack::run(&arguments),
         Command::Tasks(arguments) => task::list(&arguments),
         Command::Task(command) => task::run(&command),
         Command::Config(arguments) => inspect::config(&arguments),

@@ -1,12 +1,14 @@
-//! Runs on this machine: starting, resuming, supervising, serving and checking them. This file prepares the start of a learner
+//! Runs on this machine: starting, resuming, supervising, serving and verifying them. This file prepares the start of a learner
 //! from the arguments of `train` and `learner`.
 
-pub(crate) mod determinism;
 pub(crate) mod offered;
+pub(crate) mod recorded;
 pub(crate) mod resume;
 pub(crate) mod run_path;
+pub(crate) mod session;
 pub(crate) mod stored;
 pub(crate) mod supervisor;
+pub(crate) mod verification;
 
 use std::path::{Path, PathBuf};
 
@@ -89,15 +91,25 @@ pub(crate) fn prepare(
     resumed: &ResumeArguments,
     transport: &Transport,
 ) -> anyhow::Result<PreparedRun> {
-    let mut config = configure(settings, resumed.resume.as_deref())?;
+    let config = configure(settings, resumed.resume.as_deref())?;
+    let others = if resumed.force { Others::Accepted } else { Others::Refused };
+    prepare_config(config, resumed.resume.as_deref(), others, transport)
+}
+
+/// As [`prepare`], for settings that have been read: those of the run in the folder `resumed`, or of a new run.
+pub(crate) fn prepare_config(
+    mut config: RunConfig,
+    resumed: Option<&Path>,
+    others: Others,
+    transport: &Transport,
+) -> anyhow::Result<PreparedRun> {
     let offered = Offered::of(&config, transport)?;
     config.demand_suitable(Some(&offered.spec))?;
     let fingerprint = rollout::rollout_fingerprint();
-    let others = if resumed.force { Others::Accepted } else { Others::Refused };
-    let (folder, new) = match &resumed.resume {
+    let (folder, new) = match resumed {
         Some(folder) => {
             offered.demand_that_of(&config)?;
-            (folder.clone(), None)
+            (folder.to_path_buf(), None)
         }
         None => {
             let new = NewFolder::of(&config, &offered.spec.task, others)?;
@@ -109,10 +121,10 @@ pub(crate) fn prepare(
     config.resolved.set(keys::FILLED_IN, offered.description.as_str(), keys::URL);
     config.resolved.set("run.dir", folder.display().to_string(), "run folder");
     let mut launch = launch(&config, offered, &folder, fingerprint);
-    if let Some(folder) = &resumed.resume {
+    if let Some(folder) = resumed {
         resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;
     }
-    launch.resume = resumed.resume.is_some();
+    launch.resume = resumed.is_some();
     if !launch.resume {
         message_steps::fit(&mut config, &mut launch)?;
     }
@@ -178,6 +190,7 @@ fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Dige
         divergence_remedy: divergence_remedy(config).to_owned(),
         seed: RunSeed(config.run.seed),
         iterations: config.iterations(),
+        until: config.iterations(),
         run_id: run_path::name(folder),
         folder: folder.to_path_buf(),
         config_toml: config.resolved.to_toml(),

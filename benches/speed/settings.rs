@@ -98,6 +98,7 @@ impl CaseSettings {
             divergence_remedy: String::new(),
             seed: RunSeed(1),
             iterations: iterations as u64,
+            until: iterations as u64,
             run_id: "speed".to_owned(),
             folder: folder.to_path_buf(),
             config_toml: String::new(),

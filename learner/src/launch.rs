@@ -35,6 +35,8 @@ pub struct Launch {
     pub seed: RunSeed,
     /// Iterations of the whole run.
     pub iterations: u64,
+    /// Iteration after which this start of the learner ends; that of the whole run, unless a part of it is computed.
+    pub until: u64,
     /// Names the run.
     pub run_id: String,
     /// The run folder.

@@ -4,16 +4,11 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use actor::Transport;
-use anyhow::Context as _;
 use clap::Args;
-use learner::error::LearnerError;
 use learner::observe::event::Summary;
-use learner::serve::listener::Listener;
 use learner::store::run_folder::{CONFIG, LOGS, METRICS};
 use proto::Episodes;
 use recording::trajectory_log::{is_log_name, totals};
-use security::Token;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 use crate::config::run_config::RunConfig;
@@ -21,10 +16,7 @@ use crate::endpoints::PageArguments;
 use crate::figures::{chart, learning_curve};
 use crate::process::{self, output, runtime, shell};
 use crate::progress::Progress;
-use crate::run::supervisor::ActorProcesses;
-use crate::run::{
-    self, PreparedRun, ResumeArguments, SettingsArguments, determinism, run_path, supervisor,
-};
+use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments, run_path, session};
 
 /// `s2mia train`
 #[derive(Args, Debug)]
@@ -35,18 +27,6 @@ pub(crate) struct TrainArguments {
     /// Resume.
     #[command(flatten)]
     pub(crate) resume: ResumeArguments,
-    /// Train ITERATIONS three times in a temporary folder: with one actor, with two, and with two, stopped and resumed.
-    /// The exit status is 0 only if all three end in the same state.
-    #[arg(
-        long,
-        value_name = "ITERATIONS",
-        num_args = 0..=1,
-        require_equals = true,
-        default_missing_value = "3",
-        conflicts_with = "resume",
-        value_parser = clap::value_parser!(u64).range(2..)
-    )]
-    pub(crate) verify_determinism: Option<u64>,
     /// Write a checkpoint and stop when standard input closes, so that the run does not outlive its parent process.
     #[arg(long)]
     pub(crate) stop_with_stdin: bool,
@@ -57,14 +37,9 @@ pub(crate) struct TrainArguments {
 
 /// Trains to the end of the run or until a stop signal; both leave a checkpoint and end with status 0.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
-    if let Some(iterations) = arguments.verify_determinism {
-        return determinism::verify(&arguments.settings, iterations);
-    }
     arguments.page.check(None)?;
-    let mut prepared =
+    let prepared =
         run::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
-    let audit = &mut prepared.launch.config.audit;
-    *audit = audit.with_own_actors();
     let PreparedRun { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
     let (stop_sender, stop) = watch::channel(false);
@@ -83,24 +58,16 @@ async fn train(
     let PreparedRun { config, folder, launch, new: _new } = prepared;
     let page = page.open(None).await?;
     let begin = Instant::now();
-    let listener = TcpListener::bind("127.0.0.1:0").await.context("cannot listen on loopback")?;
-    let token = Token::random()?;
-    let processes = processes(&config, &folder, &listener, token.clone())?;
-    let listener = Listener::from(listener).with_token(token, &folder);
-    let (end, ended) = watch::channel(false);
     process::stop_on_signal(stop_sender.clone(), || {
         output::line("stopping after a checkpoint; Ctrl-C again ends at once without one");
     })?;
-    let actors = tokio::spawn(supervisor::supervise(processes, ended, stop_sender));
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::observe::event::Event| progress.observe(event));
-    let summary = learner::run::run(launch, listener, page, observer, stop).await;
-    end.send_replace(true);
-    let failure = actors.await.context("the supervisor of the actors failed")?;
+    let summary = session::train(&config, launch, page, observer, (stop_sender, stop)).await;
     if config.log.episodes != Episodes::None {
         output::line(logged(&folder.join(LOGS)));
     }
-    let summary = ended_well(summary, failure)?;
+    let summary = summary?;
     let length = if config.resolved.depends_on_length() { Length::Fixed } else { Length::MayRise };
     let points = learning_curve::evaluations(&folder.join(METRICS))?;
     let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
@@ -118,40 +85,6 @@ fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
         config.actors(),
         chart::thousands(config.env_steps()),
     )
-}
-
-fn processes(
-    config: &RunConfig,
-    folder: &Path,
-    listener: &TcpListener,
-    token: Token,
-) -> anyhow::Result<ActorProcesses> {
-    let logs = folder.join(LOGS);
-    learner::store::durable::make_folder(&logs)?;
-    Ok(ActorProcesses {
-        program: std::env::current_exe().context("cannot find this program")?,
-        learner: format!("http://{}", listener.local_addr()?),
-        token,
-        environment: config.environment.arguments(),
-        logs,
-        log: config.log,
-        actors: config.actors(),
-    })
-}
-
-/// The summary; an error if the learner failed or the supervisor gave up on the actors.
-fn ended_well(
-    summary: Result<Summary, LearnerError>,
-    failure: Option<String>,
-) -> anyhow::Result<Summary> {
-    match (summary.context("the learner failed"), failure) {
-        (Ok(summary), None) => Ok(summary),
-        (Ok(summary), Some(reason)) => {
-            anyhow::bail!("{reason}; the run is kept in {}", summary.checkpoint.display());
-        }
-        (Err(error), None) => Err(error),
-        (Err(error), Some(reason)) => Err(error.context(reason)),
-    }
 }
 
 /// Size of the curve in characters.

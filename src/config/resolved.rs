@@ -146,6 +146,17 @@ impl Resolved {
         self.entries.insert(key.to_owned(), Entry { value, origin: origin.to_owned() });
     }
 
+    /// Takes from `other` the settings that only this machine's part in a run depends on: neither results nor evaluations,
+    /// nor where an external environment is.
+    pub(crate) fn take_machine(&mut self, other: &Self) {
+        let kept = |key: &str| {
+            let is_of_run = keys::is_semantic(key) || keys::is_length(key);
+            is_of_run || key == keys::URL || key.starts_with("evaluation.")
+        };
+        let taken = other.entries.iter().filter(|(key, _)| !kept(key));
+        self.entries.extend(taken.map(|(key, entry)| (key.clone(), entry.clone())));
+    }
+
     /// SHA-256 over `key = value` lines of the semantic keys. Length and run folder are excluded.
     pub(crate) fn sha256(&self) -> [u8; 32] {
         let mut hasher = Sha256::new();

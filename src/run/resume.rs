@@ -1,4 +1,4 @@
-//! What a resume may change, and which program may resume a run: one that computes the same bits and resolves the same
+//! What a resume may change, and which program may resume or verify a run: one that computes the same bits and resolves the same
 //! settings.
 
 use std::path::Path;
@@ -10,6 +10,7 @@ use crate::config::message_steps::MESSAGE;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
 use crate::errors::Usage;
+use crate::run::BUILD;
 
 const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
@@ -71,7 +72,7 @@ fn length(config: &RunConfig) -> String {
     }
 }
 
-/// Refuses to resume the run in `folder` if this program, whose fingerprint is `rollout`, computes other bits or resolves
+/// Refuses the run in `folder` if this program, whose fingerprint is `rollout`, computes other bits or resolves
 /// its settings to another hash than `config`.
 pub(crate) fn demand_same_program(
     folder: &Path,
@@ -94,7 +95,7 @@ pub(crate) fn demand_same_program(
         if of_run != own {
             return Err(Usage::new(format!(
                 "{} was trained by a program that {differs}: its {key} is {of_run}, this \
-                 program's is {own}; resume it with version {}, commit {}",
+                 program's is {own}; use version {}, commit {} instead of {BUILD}",
                 folder.display(),
                 recorded("version"),
                 recorded("git_commit"),
@@ -213,7 +214,8 @@ mod tests {
         ] {
             let refusal = other.unwrap_err();
             assert!(refusal.contains(named), "{refusal}");
-            assert!(refusal.ends_with("resume it with version 0.1.0, commit abc"), "{refusal}");
+            let builds = format!("; use version 0.1.0, commit abc instead of {BUILD}");
+            assert!(refusal.ends_with(&builds), "{refusal}");
         }
     }
 }

@@ -38,6 +38,15 @@ pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
     }))
 }
 
+/// Refuses a folder that contains no run, and the folder of a checkpoint, which does not record how it was computed.
+pub(crate) fn demand_records(folder: &Path) -> Result<(), Usage> {
+    if !checkpoint::is_checkpoint(folder) {
+        return demand_run(folder);
+    }
+    let why = "is a checkpoint, which does not record how it was computed; name its run";
+    Err(Usage::new(format!("{} {why}", folder.display())))
+}
+
 /// Refuses a folder that contains no run, and the folder of a checkpoint, which a resume would overwrite.
 pub(crate) fn demand_resumable(folder: &Path) -> Result<(), Usage> {
     if !checkpoint::is_checkpoint(folder) {

@@ -20,18 +20,23 @@ use crate::run::run_path::demand_run;
 /// The file with the settings of the run in `folder`, and what it says: `config.toml`, or the newest checkpoint's copy if
 /// `config.toml` is damaged or has other semantic settings than the run.
 pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
-    let file = folder.join(CONFIG);
-    let read = match plain_file::refusal(&file) {
-        None => RunConfig::of_file(&file).map_err(|error| of_another_version(folder, error)),
-        Some(why) => Err(ConfigError::at(file.display(), why)),
-    };
-    let own = read.and_then(|config| unchanged(&file, folder, config));
-    let Err(why) = own else { return own.map(|config| (file, config)) };
+    let own = own_settings(folder);
+    let Err(why) = own else { return own.map(|config| (folder.join(CONFIG), config)) };
     let Ok(loaded) = learner::store::checkpoint::load_newest(folder) else { return Err(why) };
     let copy = loaded.path.join(learner::store::checkpoint::SETTINGS);
     let config = RunConfig::of_file(&copy).map_err(|_| why.clone())?;
     tracing::warn!("{why}; the settings in {} are used", copy.display());
     Ok((copy, config))
+}
+
+/// What `config.toml` of the run in `folder` says, which must be the settings of the run.
+pub(crate) fn own_settings(folder: &Path) -> Result<RunConfig, ConfigError> {
+    let file = folder.join(CONFIG);
+    let read = match plain_file::refusal(&file) {
+        None => RunConfig::of_file(&file).map_err(|error| of_another_version(folder, error)),
+        Some(why) => Err(ConfigError::at(file.display(), why)),
+    };
+    read.and_then(|config| unchanged(&file, folder, config))
 }
 
 /// The configuration of the run in `folder`.

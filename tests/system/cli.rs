@@ -43,9 +43,19 @@ fn commands_that_read_runs_refuse_what_is_none() {
     let runs = Runs::new();
     let empty = runs.folder("empty");
     std::fs::create_dir(&empty).unwrap();
-    for reader in
-        ["eval", "record", "film", "plot", "inspect", "status", "serve", "watch", "train --resume"]
-    {
+    for reader in [
+        "eval",
+        "record",
+        "film",
+        "plot",
+        "inspect",
+        "status",
+        "serve",
+        "watch",
+        "train --resume",
+        "verify",
+        "pack",
+    ] {
         let words: Vec<&str> = reader.split(' ').collect();
         let line = refused(&[&words[..], &["no/such/run"]].concat());
         assert!(line.contains("no/such/run"), "{reader}: {line}");

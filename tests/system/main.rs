@@ -22,3 +22,4 @@ mod runs;
 mod serve;
 mod shutdown;
 mod train;
+mod verify;

@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::json;
 
 use crate::processes::{Background, Learner, actor, has_begun, until};
-use crate::runs::{Runs, error, failed, inspect, status, succeeded, success, text, tiny, train};
+use crate::runs::{Runs, error, failed, inspect, status, succeeded, success, text, train};
 
 const SIXTY: &str = "run.iterations=60";
 /// Six slots an iteration.
@@ -61,7 +61,7 @@ fn a_learner_says_once_how_many_threads_have_no_slot() {
 }
 
 /// A copy of the program that differs only in the commit that it was built from.
-fn another_build(folder: &Path) -> PathBuf {
+pub(crate) fn another_build(folder: &Path) -> PathBuf {
     let version = succeeded(&["--version"]);
     let commit = version.trim_end().split_once('+').unwrap().1.as_bytes();
     let mut program = fs::read(env!("CARGO_BIN_EXE_s2mia")).unwrap();
@@ -122,17 +122,4 @@ fn status_and_health_work_by_address_and_status_by_folder_and_for_ended_runs() {
     train(&short, &["run.iterations=1", "run.actors=1"]);
     let line = succeeded(&["status", text(&short)]);
     assert!(line.contains("is finished: iteration 1 of 1") && line.lines().count() == 1, "{line}");
-}
-
-#[test]
-fn verify_determinism_compares_three_runs_whose_arguments_override_variables() {
-    let runs = Runs::new();
-    let mut command = tiny("train", &runs.folder("run"), &["--verify-determinism=3"]);
-    command.env("S2MIA__RUN__SEED", "1").env("S2MIA__RUN__DIR", runs.folder("variable"));
-    let (told, log) = success(&mut command);
-    assert!(log.is_empty(), "{told}{log}");
-    let lines = told.lines().collect::<Vec<_>>();
-    let states = lines[..3].iter().map(|line| line.split_whitespace().last().unwrap());
-    assert!(states.clone().all(|state| state.len() == 64 && Some(state) == states.clone().next()));
-    assert_eq!(lines[3..], ["deterministic over 3 iterations: all states are equal"]);
 }

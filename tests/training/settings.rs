@@ -31,6 +31,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         divergence_remedy: String::new(),
         seed: RunSeed(7),
         iterations,
+        until: iterations,
         run_id: "hopper".to_owned(),
         folder: folder.to_path_buf(),
         config_toml: "task = \"hopper-2x1\"\n".to_owned(),

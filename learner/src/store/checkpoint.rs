@@ -22,8 +22,8 @@ use crate::store::plain_file;
 use kept::{is_gone, iterations, prune};
 use step::about_to;
 
-pub use kept::is_checkpoint;
 pub(crate) use kept::{FOLDER, named_latest};
+pub use kept::{all, is_checkpoint, place};
 pub use manifest::{FileEntry, Manifest, SCHEMA};
 pub use step::{Before, Step};
 
@@ -261,7 +261,7 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
 /// # Errors
 /// The folder of checkpoints cannot be read.
 pub fn newest_iteration(run_folder: &Path) -> Result<Option<u64>, CheckpointError> {
-    Ok(iterations(&folder(run_folder))?.last().copied())
+    Ok(all(run_folder)?.last().copied())
 }
 
 fn hash_of(arrays: &NamedArrays, counts: impl Fn(&str) -> bool) -> String {

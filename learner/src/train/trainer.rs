@@ -135,7 +135,7 @@ impl RunningTrainer {
 
     fn run(&mut self) -> Result<Summary, LearnerError> {
         self.evaluate_if_due()?;
-        while self.trainer.iteration < self.trainer.launch.iterations {
+        while self.trainer.iteration < self.trainer.launch.until {
             let collected = self.collect()?;
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
@@ -167,7 +167,7 @@ impl RunningTrainer {
     /// Writes the last checkpoint, then waits for the last evaluation.
     fn end(&mut self) -> Result<Summary, LearnerError> {
         let saved = self.save_now()?;
-        let complete = self.trainer.iteration >= self.trainer.launch.iterations;
+        let complete = self.trainer.iteration >= self.trainer.launch.until;
         let stopped_early = !complete || !self.settle_evaluation()?;
         self.note_foreign_actors(self.outside.exchange.run_snapshot().foreign_actors);
         self.trainer.metrics.sync()?;
@@ -195,7 +195,7 @@ impl RunningTrainer {
     /// Opens the slots of the next iteration, if there is one, for rollouts with the weights just published.
     fn lease(&mut self) {
         let iteration = self.trainer.iteration;
-        if iteration < self.trainer.launch.iterations {
+        if iteration < self.trainer.launch.until {
             let per_slot = self.slot_size();
             let slots = self.trainer.environments.work(iteration, per_slot);
             let exchange = &self.outside.exchange;

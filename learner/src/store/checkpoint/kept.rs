@@ -1,10 +1,12 @@
-//! Which checkpoints stand in a folder, and which of them stay.
+//! Which checkpoints stand in a folder, which of them stay, and copies of them.
 
 use std::ffi::OsStr;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::{CheckpointError, LATEST, MANIFEST, POLICY, SETTINGS, name};
+use super::{
+    CheckpointError, LATEST, Loaded, MANIFEST, POLICY, RunSettings, SETTINGS, Saved, name, save,
+};
 use crate::config::CheckpointConfig;
 use crate::store::durable::{self, DRAFT, FileError};
 use crate::store::plain_file;
@@ -25,6 +27,32 @@ pub(super) fn iterations(folder: &Path) -> Result<Vec<u64>, FileError> {
     }
     found.sort_unstable();
     Ok(found)
+}
+
+/// Iterations of all checkpoints of a run, ascending, whole or not.
+///
+/// # Errors
+/// The folder of checkpoints cannot be read.
+pub fn all(run_folder: &Path) -> Result<Vec<u64>, CheckpointError> {
+    Ok(iterations(&run_folder.join(FOLDER))?)
+}
+
+/// The folder of the checkpoint of an iteration.
+#[must_use]
+pub fn place(run_folder: &Path, iteration: u64) -> PathBuf {
+    run_folder.join(FOLDER).join(name(iteration))
+}
+
+impl Loaded {
+    /// Writes a copy, with these settings as its own, into the folder of another run.
+    ///
+    /// # Errors
+    /// Names the file that could not be written.
+    pub fn copy_to(&self, run_folder: &Path, toml: &str) -> Result<Saved, CheckpointError> {
+        let settings = RunSettings { sha256: &self.manifest.config_sha256, toml };
+        let keep = CheckpointConfig { every: 1, keep_last: usize::MAX };
+        save(run_folder, &self.checkpoint, settings, &keep, &mut |_, _| Ok(()))
+    }
 }
 
 /// The iteration that `LATEST` in a folder of checkpoints names; `None` if it names none.

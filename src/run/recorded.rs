@@ -1,0 +1,167 @@
+//! What the folder of a run records of its results, checked as far as that needs no computation: its settings, the lines of
+//! provenance and metrics, and its checkpoints belong together, and nothing of them is missing or changed.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, ensure};
+use learner::store::checkpoint::{self, Loaded, SETTINGS};
+use learner::store::json_lines::JsonLinesReader;
+use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, RunFolder, STARTS};
+use proto::Digest;
+use serde_json::Value;
+
+use crate::config::run_config::RunConfig;
+use crate::run::stored::own_settings;
+
+/// The lines of a file by their iteration.
+pub(crate) type Lines = BTreeMap<u64, Value>;
+
+/// The records of a run.
+#[derive(Debug)]
+pub(crate) struct Recorded {
+    /// Folder of the run.
+    pub(crate) folder: PathBuf,
+    /// Content of `manifest.json`.
+    pub(crate) manifest: Value,
+    /// Its settings.
+    pub(crate) config: RunConfig,
+    /// The lines of `provenance.jsonl`, of every iteration from 1 on.
+    pub(crate) provenance: Lines,
+    /// The lines of iterations in `metrics.jsonl`, of all those at least.
+    pub(crate) metrics: Lines,
+    /// The lines of evaluations in `metrics.jsonl`.
+    pub(crate) evaluations: Lines,
+    /// Iterations of the checkpoints from 1 on, ascending.
+    pub(crate) checkpoints: Vec<u64>,
+}
+
+impl Recorded {
+    /// Reads the records of the run in `folder`. [`Self::checkpoint`] reads and checks a checkpoint.
+    ///
+    /// # Errors
+    /// Names the first file that is missing, damaged or does not belong to the others, or the learner that works on the run.
+    pub(crate) fn read(folder: &Path) -> anyhow::Result<Self> {
+        RunFolder::demand_free(folder)?;
+        let manifest = RunFolder::recorded(folder).with_context(|| {
+            let file = folder.join(MANIFEST);
+            format!("{} is missing, or it has been changed since it was written", file.display())
+        })?;
+        let config = own_settings(folder)?;
+        let file = folder.join(PROVENANCE);
+        let provenance = of_kind(&file, &lines(&file)?, "iteration")?;
+        demand_whole(&file, &provenance, last(&provenance))?;
+        let file = folder.join(METRICS);
+        let lines = lines(&file)?;
+        let metrics = of_kind(&file, &lines, "iteration")?;
+        demand_whole(&file, &metrics, last(&provenance))?;
+        let evaluations = of_kind(&file, &lines, "evaluation")?;
+        let mut checkpoints = checkpoint::all(folder)?;
+        // That of iteration 0 holds no more than the seed.
+        checkpoints.retain(|iteration| *iteration > 0);
+        let folder = folder.to_path_buf();
+        Ok(Self { folder, manifest, config, provenance, metrics, evaluations, checkpoints })
+    }
+
+    /// Refuses a checkpoint that is damaged or does not belong to the other records.
+    pub(crate) fn demand_checkpoints(&self) -> anyhow::Result<()> {
+        self.checkpoints.iter().try_for_each(|iteration| self.checkpoint(*iteration).map(drop))
+    }
+
+    /// The last iteration with a line in `provenance.jsonl`.
+    pub(crate) fn last(&self) -> u64 {
+        last(&self.provenance)
+    }
+
+    /// Hash of the run's semantic settings.
+    pub(crate) fn config_sha256(&self) -> Digest {
+        Digest(self.config.resolved.sha256())
+    }
+
+    /// The checkpoint of an iteration, with the settings, weights and policies of this run.
+    pub(crate) fn checkpoint(&self, iteration: u64) -> anyhow::Result<Loaded> {
+        let loaded = checkpoint::load(&checkpoint::place(&self.folder, iteration))?;
+        let provenance = self.folder.join(PROVENANCE);
+        let line = |iteration: u64| self.provenance.get(&iteration);
+        let (weights, policy) =
+            (loaded.checkpoint.weights_sha256(), Digest::of(&loaded.checkpoint.policy).to_string());
+        let of_weights = line(iteration).map(|line| &line["weights_sha256"]);
+        let of_weights = of_weights.with_context(|| {
+            let place = loaded.path.display();
+            format!("{} has no line of iteration {iteration} of {place}", provenance.display())
+        })?;
+        let acting = line(iteration + 1).map(|line| &line["behaviour"]["digest"]);
+        let config = Value::from(self.config_sha256().to_string());
+        for (what, found, file, recorded) in [
+            ("settings", &loaded.manifest.config_sha256, CONFIG, Some(&config)),
+            ("weights", &weights, PROVENANCE, Some(of_weights)),
+            ("policies", &policy, PROVENANCE, acting),
+        ] {
+            let Some(recorded) = recorded.filter(|recorded| **recorded != **found) else {
+                continue;
+            };
+            let (place, file) = (loaded.path.display(), self.folder.join(file));
+            let file = file.display();
+            anyhow::bail!("the {what} in {place} have the SHA-256 {found}, {file} has {recorded}");
+        }
+        Ok(loaded)
+    }
+
+    /// The file with the settings with which the iterations after that of a checkpoint, or after the start, were computed.
+    pub(crate) fn settings_after(&self, iteration: u64) -> PathBuf {
+        match iteration {
+            0 => self.folder.join(CONFIG),
+            _ => checkpoint::place(&self.folder, iteration).join(SETTINGS),
+        }
+    }
+
+    /// Versions and commits of the programs that computed the run.
+    pub(crate) fn builds(&self) -> anyhow::Result<BTreeSet<String>> {
+        let starts = all_lines(&self.folder.join(STARTS))?;
+        let build = |start: &Value| {
+            let field = |name: &str| start[name].as_str().unwrap_or("unknown").to_owned();
+            format!("{}+{}", field("version"), field("git_commit"))
+        };
+        Ok(starts.iter().chain([&self.manifest]).map(build).collect())
+    }
+}
+
+/// The last iteration.
+fn last(lines: &Lines) -> u64 {
+    lines.last_key_value().map_or(0, |(iteration, _)| *iteration)
+}
+
+/// The lines of a file, which is there and whole.
+fn lines(file: &Path) -> anyhow::Result<Vec<Value>> {
+    let lines = all_lines(file)?;
+    ensure!(!lines.is_empty(), "{} is missing or has no line", file.display());
+    Ok(lines)
+}
+
+/// The lines of a file, if there is one. A crash may have left half of the last one, which does not count.
+fn all_lines(file: &Path) -> anyhow::Result<Vec<Value>> {
+    let read = JsonLinesReader::of(file.to_path_buf()).more();
+    let read = read.with_context(|| format!("cannot read {}", file.display()))?;
+    ensure!(read.damaged == 0, "{} has {} damaged lines", file.display(), read.damaged);
+    Ok(read.lines)
+}
+
+/// The lines of this kind; a line without a kind is one of an iteration.
+fn of_kind(file: &Path, lines: &[Value], kind: &str) -> anyhow::Result<Lines> {
+    let mut found = Lines::new();
+    for line in lines.iter().filter(|line| line["kind"].as_str().unwrap_or("iteration") == kind) {
+        let iteration = line["iteration"].as_u64();
+        let is_new = iteration.is_some_and(|it| found.insert(it, line.clone()).is_none());
+        let named = &line["iteration"];
+        ensure!(is_new, "{} has a second {kind} line for iteration {named}", file.display());
+    }
+    Ok(found)
+}
+
+/// Refuses lines of which an iteration up to `last` is missing.
+fn demand_whole(file: &Path, lines: &Lines, last: u64) -> anyhow::Result<()> {
+    match (1..=last).find(|iteration| !lines.contains_key(iteration)) {
+        Some(lost) => anyhow::bail!("{} has no line of iteration {lost}", file.display()),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,294 @@
+//! Runs are verified by computing them again, also from a pack on another machine, and what does not belong to them is found.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use learner::store::checkpoint;
+use serde_json::Value;
+
+use crate::cue_service::{CueService, Faults};
+use crate::roles::another_build;
+use crate::runs::{
+    Runs, command, evaluated, failed, inspect, refused, succeeded, success, text, tiny, train,
+};
+
+/// A run of six iterations of 80 steps: with checkpoints after 2, 4 and 6, and evaluations there and at the start.
+const SIX: &str = "run.iterations=6";
+
+/// `s2mia verify` of all iterations of a run.
+fn whole(folder: &Path) -> [&str; 4] {
+    ["verify", text(folder), "--iterations", "6"]
+}
+
+/// The line with which a run is not verified by computing `iterations`.
+fn doubted(folder: &Path, iterations: u64) -> String {
+    let line = failed_late(&mut command(&[
+        "verify",
+        text(folder),
+        "--iterations",
+        &iterations.to_string(),
+    ]));
+    assert!(line.contains(&format!("{} is not verified: ", text(folder))), "{line}");
+    line
+}
+
+/// The one line on stderr of a command that ends with status 1, perhaps after some output.
+fn failed_late(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{line}");
+    assert_eq!(line.lines().count(), 1, "{line}");
+    line
+}
+
+/// Changes the line of a file that `chosen` chooses.
+fn change(file: &Path, chosen: fn(&Value) -> bool, change: impl Fn(&mut Value)) {
+    let text = fs::read_to_string(file).unwrap();
+    let changed = text.lines().map(|line| {
+        let mut line: Value = serde_json::from_str(line).unwrap();
+        if chosen(&line) {
+            change(&mut line);
+        }
+        format!("{line}\n")
+    });
+    let changed: String = changed.collect();
+    assert_ne!(changed, text);
+    fs::write(file, changed).unwrap();
+}
+
+/// A copy of a run.
+fn copy(run: &Path, to: PathBuf) -> PathBuf {
+    assert!(Command::new("cp").arg("-r").args([run, &to]).status().unwrap().success());
+    to
+}
+
+#[test]
+fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_for_every_rule() {
+    let maddpg = [
+        "algorithm=maddpg",
+        "policy.width=8",
+        "policy.layers=1",
+        "critic.layers=1",
+        "maddpg.replay=200",
+        "maddpg.batch=16",
+        "maddpg.n_step=3",
+        "maddpg.warm_up=160",
+    ];
+    for (name, settings) in [
+        ("default", &[][..]),
+        // Every step depends on the length of the run.
+        ("decay", &["update.learning_rate_decay=linear"]),
+        ("maddpg", &maddpg),
+    ] {
+        let runs = Runs::new();
+        let folder = runs.folder(name);
+        let mut run = tiny("train", &folder, &[settings, &[SIX]].concat());
+        let ended = run.env("S2MIA_FAIL_AT", "mid-update@3").output().unwrap();
+        assert!(!ended.status.success());
+        succeeded(&["train", "--resume", text(&folder)]);
+        let (told, log) = success(&mut command(&whole(&folder)));
+        assert_eq!(log, "", "{told}");
+        for part in [
+            "equal: iterations 1 to 2 from the seed, weights_sha256 ",
+            "equal: iterations 3 to 4 from the checkpoint of iteration 2, weights_sha256 ",
+            "equal: iterations 5 to 6 from the checkpoint of iteration 4, weights_sha256 ",
+            "equal: policies of the checkpoint of iteration 6\n",
+            "equal: evaluation after iteration 6, return ",
+            "is verified: 6 of its 6 iterations and 4 evaluations have the recorded results",
+        ] {
+            assert!(told.contains(part), "{part} is not in:\n{told}");
+        }
+        assert!(told.contains(inspect(&folder)["weights_sha256"].as_str().unwrap()), "{told}");
+    }
+}
+
+#[test]
+fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
+    let runs = Runs::new();
+    let run = runs.folder("run");
+    train(&run, &[SIX]);
+    let changed = |name: &str, file: &str| {
+        let folder = copy(&run, runs.folder(name));
+        let path = folder.join(file);
+        (folder, path)
+    };
+
+    let (folder, lines) = changed("weights", "provenance.jsonl");
+    let other = Value::from("0".repeat(64));
+    let third = |line: &Value| line["iteration"] == 3;
+    change(&lines, third, |line| line["weights_sha256"] = other.clone());
+    let line = doubted(&folder, 6);
+    assert!(line.contains("iteration 3 has weights_sha256 \""), "{line}");
+    assert!(line.contains("provenance.jsonl has \"0000") && line.contains("both"), "{line}");
+    change(&lines, |line| line["iteration"] == 4, |line| line["weights_sha256"] = other.clone());
+    let line = doubted(&folder, 1);
+    assert!(line.contains("the weights in ") && line.contains("iter_00000004 have"), "{line}");
+
+    let (folder, lines) = changed("figures", "metrics.jsonl");
+    change(&lines, third, |line| line["env_steps"] = 1.into());
+    let line = doubted(&folder, 6);
+    assert!(line.contains("iteration 3 has env_steps 240, metrics.jsonl has 1;"), "{line}");
+    let last = |line: &Value| line["kind"] == "evaluation" && line["iteration"] == 6;
+    change(&lines, third, |line| line["env_steps"] = 240.into());
+    change(&lines, last, |line| line["mean"] = 1e6.into());
+    let line = doubted(&folder, 1);
+    assert!(line.contains("the evaluation of iteration 6 has mean "), "{line}");
+    let text_of = fs::read_to_string(&lines).unwrap();
+    fs::write(&lines, text_of.lines().skip(2).map(|line| format!("{line}\n")).collect::<String>())
+        .unwrap();
+    assert!(doubted(&folder, 1).contains("metrics.jsonl has no line of iteration 1"));
+
+    let (folder, config) = changed("settings", "config.toml");
+    let settings = fs::read_to_string(&config).unwrap();
+    fs::write(&config, settings.replace("clip = 0.1\n", "clip = 0.2\n")).unwrap();
+    assert!(doubted(&folder, 1).contains("these are not the run's settings"));
+
+    let (folder, manifest) = changed("manifest", "manifest.json");
+    let content = fs::read_to_string(&manifest).unwrap();
+    fs::write(&manifest, content.replace("\"seed\": 7", "\"seed\": 8")).unwrap();
+    assert!(doubted(&folder, 1).contains("manifest.json is missing, or it has been changed"));
+
+    let (folder, arrays) = changed("arrays", "checkpoints/iter_00000004/weights.safetensors");
+    let mut bytes = fs::read(&arrays).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    fs::write(&arrays, bytes).unwrap();
+    assert!(doubted(&folder, 1).contains("weights.safetensors has SHA-256"));
+
+    // The policies of an earlier checkpoint, with hashes of their own.
+    let (folder, place) = changed("policies", "checkpoints/iter_00000006");
+    let mut loaded = checkpoint::load(&place).unwrap();
+    let earlier = checkpoint::load(&checkpoint::place(&folder, 4)).unwrap();
+    let settings = fs::read_to_string(place.join("config.toml")).unwrap();
+    loaded.checkpoint.policy = earlier.checkpoint.policy;
+    fs::remove_dir_all(&place).unwrap();
+    loaded.copy_to(&folder, &settings).unwrap();
+    let line = doubted(&folder, 1);
+    assert!(line.contains("the policies in the checkpoint of iteration 6 have"), "{line}");
+    assert!(line.contains("its weights make"), "{line}");
+}
+
+#[test]
+fn a_run_of_another_commit_is_verified_and_a_difference_names_both_commits() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let program = another_build(&runs.folder(""));
+    let mut other = Command::new(&program);
+    let own = tiny("train", &folder, &["run.iterations=2"]);
+    success(other.args(own.get_args()));
+    let [own, other] = [Command::new(env!("CARGO_BIN_EXE_s2mia")), Command::new(&program)]
+        .map(|mut program| success(program.arg("--version")).0);
+    let build = |version: &str| version.trim_end().split_once(' ').unwrap().1.to_owned();
+    let told = succeeded(&["verify", text(&folder)]);
+    let builds = format!("computed by {}; this is {}", build(&other), build(&own));
+    assert!(told.contains(&builds), "{told}");
+    let lines = folder.join("metrics.jsonl");
+    change(&lines, |line| line["iteration"] == 1, |line| line["env_steps"] = 1.into());
+    let line = doubted(&folder, 2);
+    let builds = format!("{} computed the run, and this program is {}", build(&other), build(&own));
+    assert!(line.contains(&builds) && line.contains("may compute other numbers"), "{line}");
+}
+
+/// The names and contents of all files in a folder, in the order of their paths.
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(next) = folders.pop() {
+        for path in next.read_dir().unwrap().map(|entry| entry.unwrap().path()) {
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().to_path_buf();
+                found.push((name, fs::read(&path).unwrap()));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn a_pack_is_verified_and_used_without_its_run_and_has_no_secret_and_no_path_of_the_machine() {
+    let runs = Runs::new();
+    let (run, pack, again) = (runs.folder("run"), runs.folder("pack"), runs.folder("again"));
+    train(&run, &[SIX]);
+    fs::write(run.join("checkpoints/iter_00000002/notes.txt"), "mine").unwrap();
+    let whole_run = inspect(&run);
+    let played = evaluated(text(&run), &["--episodes", "1"]);
+    let told = succeeded(&["pack", text(&run), "--out", text(&pack)]);
+    assert!(told.contains("6 iterations, 3 checkpoints"), "{told}");
+    succeeded(&["pack", text(&run), "--out", text(&again)]);
+    assert_eq!(contents(&pack), contents(&again), "the same run makes the same bytes");
+    for (name, _) in contents(&pack) {
+        let top = name.components().next().unwrap().as_os_str().to_str().unwrap().to_owned();
+        let known = ["checkpoints", "config.toml", "manifest.json", "metrics.jsonl"];
+        let more = ["provenance.jsonl", "starts.jsonl"];
+        assert!(known.contains(&&*top) || more.contains(&&*top), "{name:?}");
+        assert!(!name.ends_with("notes.txt"), "{name:?}");
+    }
+    let token = fs::read_to_string(run.join("token")).unwrap();
+    let host = fs::read_to_string("/etc/hostname").unwrap_or_default();
+    let home = std::env::var("HOME").unwrap_or_default();
+    let parent = run.parent().unwrap().to_path_buf();
+    let secrets = [token.trim(), text(&parent), home.trim(), host.trim()];
+    // A shorter name may be part of any word.
+    for secret in secrets.into_iter().filter(|secret| secret.len() > 5) {
+        for (name, bytes) in contents(&pack) {
+            let found = bytes.windows(secret.len()).any(|part| part == secret.as_bytes());
+            assert!(!found, "{secret} is in {name:?}");
+        }
+    }
+    let line = refused(&["pack", text(&run), "--out", text(&pack)]);
+    assert!(line.contains("already exists; name another place"), "{line}");
+    assert!(refused(&["pack", text(&run), "--out", text(&run.join("in"))]).contains("inside the"));
+
+    fs::remove_dir_all(&run).unwrap();
+    let told = succeeded(&whole(&pack));
+    assert!(told.contains("6 of its 6 iterations and 4 evaluations"), "{told}");
+    assert_eq!(inspect(&pack), whole_run);
+    assert_eq!(evaluated(text(&pack), &["--episodes", "1"]), played);
+    succeeded(&["film", text(&pack), "--frames", "1"]);
+    succeeded(&["export", text(&pack), "--onnx", text(&runs.folder("onnx"))]);
+    let packed_again = runs.folder("packed");
+    succeeded(&["pack", text(&pack), "--out", text(&packed_again)]);
+    assert_eq!(contents(&packed_again), contents(&again));
+}
+
+#[test]
+fn damaged_records_and_a_checkpoint_in_the_place_of_a_run_are_not_packed() {
+    let runs = Runs::new();
+    let (run, pack) = (runs.folder("run"), runs.folder("pack"));
+    train(&run, &["run.iterations=2"]);
+    let first = run.join("checkpoints/iter_00000002");
+    for command in ["verify", "pack"] {
+        let line = refused(&[command, text(&first)]);
+        assert!(line.contains("is a checkpoint") && line.contains("name its run"), "{line}");
+    }
+    fs::remove_file(first.join("policy.safetensors")).unwrap();
+    let line = failed(&["pack", text(&run), "--out", text(&pack)], 1);
+    assert!(line.contains("cannot be packed: ") && line.contains("policy.safetensors"), "{line}");
+    fs::remove_dir_all(run.join("checkpoints/iter_00000002")).unwrap();
+    let line = failed(&["pack", text(&run), "--out", text(&pack)], 1);
+    assert!(line.contains("it has no checkpoint"), "{line}");
+    assert!(!pack.exists());
+    let told = succeeded(&["verify", text(&run)]);
+    assert!(told.contains("equal: iterations 1 to 2 from the seed"), "{told}");
+    fs::remove_file(run.join("provenance.jsonl")).unwrap();
+    assert!(doubted(&run, 1).contains("provenance.jsonl is missing or has no line"));
+}
+
+#[test]
+fn a_run_in_an_external_environment_is_verified_while_that_is_there() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let service = CueService::start(Faults::NONE);
+    let settings = ["task=cue-2x1", "run.iterations=4", "--environment", &service.url];
+    success(&mut tiny("train", &folder, &settings));
+    let told = succeeded(&["verify", text(&folder)]);
+    assert!(told.contains("4 of its 4 iterations"), "{told}");
+    let url = service.url.clone();
+    drop(service);
+    let line = doubted(&folder, 1);
+    let needed = format!("the program of its environment must run at {url}");
+    assert!(line.contains(&needed), "{line}");
+}
