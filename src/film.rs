@@ -1,6 +1,7 @@
-//! Episodes and pictures of robots: film strips, portraits with numbered joints, and what an episode measures. Every
-//! link has the colour of the agent that drives it.
+//! Episodes and pictures of robots: animations, film strips, portraits with numbered joints, and what an episode measures.
+//! Every link has the colour of the agent that drives it.
 
+mod animation;
 mod drawing;
 mod episode;
 
@@ -10,8 +11,10 @@ use kuva::render::render::{Primitive, Scene, TextAnchor};
 use sim::{EnvironmentBatch, LinkShape, Outcome, Pose, Robot};
 use tiny_skia::{BlendMode, Color, Pixmap, PixmapPaint, Transform};
 
-use crate::film::drawing::{Camera, HEIGHT, ProjectedCapsule, ViewDirection, WIDTH};
+use crate::film::drawing::{Camera, HEIGHT, ProjectedCapsule, WIDTH};
 
+pub(crate) use animation::{Animation, FFMPEG};
+pub(crate) use drawing::ViewDirection;
 pub(crate) use episode::PlayedEpisode;
 
 /// What stays the same from frame to frame.
@@ -39,41 +42,63 @@ pub(crate) struct TimedPose<'a> {
     pub(crate) pose: &'a Pose,
 }
 
+/// The camera of each frame and what it shows, at the one scale at which all frames fit.
+fn views(
+    robot: &RobotShapes,
+    frames: &[TimedPose<'_>],
+    view: ViewDirection,
+) -> Vec<(Camera, Vec<ProjectedCapsule>)> {
+    let shown = |frame: &TimedPose<'_>| {
+        let capsules = drawing::capsules(robot, frame.pose, view);
+        (Camera::of(view, &capsules, frame.pose.root()), capsules)
+    };
+    let mut views: Vec<_> = frames.iter().map(shown).collect();
+    let scales = views.iter().map(|(camera, _)| camera.pixels_per_metre);
+    let pixels_per_metre = scales.fold(f32::INFINITY, f32::min);
+    views.iter_mut().for_each(|(camera, _)| camera.pixels_per_metre = pixels_per_metre);
+    views
+}
+
 /// The PNG of a strip: the frames row by row at one scale, and a legend of the agents' colours.
 ///
 /// # Errors
 /// If the picture cannot be encoded.
-pub(crate) fn strip(robot: &RobotShapes, frames: &[TimedPose<'_>]) -> anyhow::Result<Vec<u8>> {
-    let seen: Vec<Vec<ProjectedCapsule>> = frames
-        .iter()
-        .map(|frame| drawing::capsules(robot, frame.pose, ViewDirection::Side))
-        .collect();
-    let roots: Vec<f32> = frames.iter().map(|frame| frame.pose.root().position[0]).collect();
-    let pixels_per_metre = drawing::scale(&seen, &roots);
+pub(crate) fn strip(
+    robot: &RobotShapes,
+    frames: &[TimedPose<'_>],
+    view: ViewDirection,
+) -> anyhow::Result<Vec<u8>> {
     let (mut sheet, mut captions) = sheet(frames.len(), robot.agents)?;
-    for (index, frame) in frames.iter().enumerate() {
+    for (index, (camera, capsules)) in views(robot, frames, view).iter().enumerate() {
         let (left, top) = place(index as u32);
-        let camera = Camera { middle: roots[index], pixels_per_metre };
-        let panel = drawing::panel(&seen[index], &camera);
-        paste(&mut sheet, &panel, left, top);
-        captions.frame(&camera, frame.time_secs, left, top);
+        paste(&mut sheet, &drawing::panel(capsules, camera), left, top);
+        captions.frame(camera, frames[index].time_secs, left, top);
     }
     finished(sheet, captions, robot.agents)
 }
 
 /// A white sheet for `frames` and the legend of `agents`, and its captions.
 fn sheet(frames: usize, agents: usize) -> anyhow::Result<(Pixmap, Captions)> {
-    let (width, height) = size(frames, agents);
+    white(size(frames, agents))
+}
+
+/// A white sheet of a width and height in pixels, and its captions.
+fn white((width, height): (u32, u32)) -> anyhow::Result<(Pixmap, Captions)> {
     let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     Ok((sheet, Captions::new(width, height)))
 }
 
 /// The PNG of a sheet with its legend and captions.
-fn finished(mut sheet: Pixmap, mut captions: Captions, agents: usize) -> anyhow::Result<Vec<u8>> {
-    legend(&mut sheet, &mut captions, agents);
-    captions.print_on(&mut sheet)?;
+fn finished(mut sheet: Pixmap, captions: Captions, agents: usize) -> anyhow::Result<Vec<u8>> {
+    label(&mut sheet, captions, agents)?;
     sheet.encode_png().context("cannot encode the picture")
+}
+
+/// Draws the legend and all captions onto the sheet.
+fn label(sheet: &mut Pixmap, mut captions: Captions, agents: usize) -> anyhow::Result<()> {
+    legend(sheet, &mut captions, agents);
+    captions.print_on(sheet)
 }
 
 /// Upper left corner of a frame, pixels.
@@ -93,27 +118,12 @@ pub(crate) fn portrait(
     joints: &[[f32; 3]],
     pose: &Pose,
 ) -> anyhow::Result<Vec<u8>> {
-    let view = view(robot, pose);
-    let mut capsules = drawing::capsules(robot, pose, view);
-    let lift = match view {
-        ViewDirection::Side => 0.0,
-        ViewDirection::Above => -edges(&capsules).0,
-    };
-    for [_, height] in capsules.iter_mut().flat_map(|capsule| &mut capsule.ends) {
-        *height += lift;
-    }
-    let middle = pose.root().position[0];
-    let pixels_per_metre = drawing::scale(std::slice::from_ref(&capsules), &[middle]);
-    let camera = Camera { middle, pixels_per_metre };
+    let view = broadest(robot, pose);
+    let frame = TimedPose { time_secs: 0.0, pose };
+    let (camera, capsules) = &views(robot, &[frame], view)[0];
     let (mut sheet, mut captions) = sheet(1, robot.agents)?;
-    let mut panel = match view {
-        ViewDirection::Side => drawing::panel(&capsules, &camera),
-        ViewDirection::Above => drawing::panel_without_floor(&capsules, &camera),
-    };
-    let places = joints.iter().map(|&point| {
-        let [x, height] = view.plane(point);
-        camera.pixel([x, height + lift])
-    });
+    let mut panel = drawing::panel(capsules, camera);
+    let places = joints.iter().map(|&point| camera.pixel(view.plane(point)));
     for (number, (x, y)) in (1..).zip(side_by_side(places)) {
         drawing::sign(&mut panel, x, y);
         captions.number(number, GAP as f32 + x, GAP as f32 + y);
@@ -125,35 +135,34 @@ pub(crate) fn portrait(
 /// The picture of a robot in a pose from the side, without captions: at the scale that leaves a margin around the pose
 /// `rest`, so that pictures of a motion have one scale, or at a smaller one if the pose needs it.
 pub(crate) fn still(robot: &RobotShapes, rest: &Pose, pose: &Pose) -> Pixmap {
-    let capsules = |pose: &Pose| drawing::capsules(robot, pose, ViewDirection::Side);
-    let middle = pose.root().position[0];
-    let scale = |pose: &Pose| drawing::scale(&[capsules(pose)], &[pose.root().position[0]]);
-    let pixels_per_metre = scale(pose).min(REST_SCALE * scale(rest));
-    drawing::panel(&capsules(pose), &Camera { middle, pixels_per_metre })
+    let [(at_rest, _), (mut camera, capsules)] = [rest, pose].map(|pose| {
+        let capsules = drawing::capsules(robot, pose, ViewDirection::Side);
+        (Camera::of(ViewDirection::Side, &capsules, pose.root()), capsules)
+    });
+    camera.pixels_per_metre = camera.pixels_per_metre.min(REST_SCALE * at_rest.pixels_per_metre);
+    drawing::panel(&capsules, &camera)
 }
 
 /// Scale of a picture as share of the largest at which the rest pose fits.
 const REST_SCALE: f32 = 0.75;
 
 /// From above if the robot is wider than high.
-fn view(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
+fn broadest(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
     let extent = |view| {
-        let (low, high) = edges(&drawing::capsules(robot, pose, view));
+        let capsules = drawing::capsules(robot, pose, view);
+        let edges = capsules.iter().flat_map(|capsule| {
+            capsule.ends.map(|[_, up]| (up - capsule.radius, up + capsule.radius))
+        });
+        let (low, high) = edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| {
+            (low.min(bottom), high.max(top))
+        });
         high - low
     };
-    if extent(ViewDirection::Above) > extent(ViewDirection::Side) {
-        ViewDirection::Above
+    if extent(ViewDirection::Top) > extent(ViewDirection::Side) {
+        ViewDirection::Top
     } else {
         ViewDirection::Side
     }
-}
-
-/// The lowest and the highest edge of all capsules in the picture's plane, metres.
-fn edges(capsules: &[ProjectedCapsule]) -> (f32, f32) {
-    let edges = capsules.iter().flat_map(|capsule| {
-        capsule.ends.map(|[_, height]| (height - capsule.radius, height + capsule.radius))
-    });
-    edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| (low.min(bottom), high.max(top)))
 }
 
 /// The places of signs, pixels; those that would cover one before, such as the second of two hips, move to the right.
@@ -231,7 +240,12 @@ fn size(frames: usize, agents: usize) -> (u32, u32) {
     let frames = frames as u32;
     let width = GAP + frames.min(COLUMNS) * (WIDTH + GAP);
     let rows = frames.div_ceil(COLUMNS) * (HEIGHT + CAPTION);
-    (width, GAP + rows + LEGEND * (agents as u32).div_ceil(entries(width)))
+    (width, GAP + rows + legend_height(width, agents))
+}
+
+/// Height of the legend below pictures of this width, pixels.
+fn legend_height(width: u32, agents: usize) -> u32 {
+    LEGEND * (agents as u32).div_ceil(entries(width))
 }
 
 /// Agents in a row of the legend.
@@ -242,13 +256,12 @@ fn entries(width: u32) -> u32 {
 /// A disc and a name for each agent, below the frames.
 fn legend(sheet: &mut Pixmap, captions: &mut Captions, agents: usize) {
     let in_row = entries(sheet.width());
-    let rows = (agents as u32).div_ceil(in_row);
-    let top = sheet.height() - rows * LEGEND;
+    let top = sheet.height() - legend_height(sheet.width(), agents);
     for agent in 0..agents {
         let row = agent as u32 / in_row;
         let column = agent as u32 % in_row;
         let x = GAP + column * LEGEND_ENTRY;
-        let y = top + row * LEGEND + LEGEND / 3;
+        let y = top + row * LEGEND + LEGEND / 2;
         drawing::mark(sheet, x as f32 + 8.0, y as f32, agent);
         captions.agent(agent, x + 22, y);
     }
@@ -288,7 +301,7 @@ impl Captions {
         let below = f64::from(top + HEIGHT + 18);
         self.write(format!("{time_secs:.2} s"), f64::from(middle), below, TIME, TextAnchor::Middle);
         let inside = HALF_NUMBER..=WIDTH as f32 - HALF_NUMBER;
-        for (metre, x) in camera.metres().filter(|(_, x)| inside.contains(x)) {
+        for (metre, x) in camera.metres().into_iter().filter(|(_, x)| inside.contains(x)) {
             let x = f64::from(left) + f64::from(x);
             let y = f64::from(top + HEIGHT - 10);
             self.write(format!("{metre} m"), x, y, METRE, TextAnchor::Middle);

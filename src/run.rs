@@ -2,6 +2,7 @@
 //! from the arguments of `train` and `learner`.
 
 pub(crate) mod offered;
+pub(crate) mod pretrained;
 pub(crate) mod recorded;
 pub(crate) mod resume;
 pub(crate) mod run_path;

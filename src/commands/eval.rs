@@ -20,7 +20,7 @@ use crate::run::stored::{self, Trained};
 /// `s2mia eval`
 #[derive(Args, Debug)]
 pub(crate) struct EvalArguments {
-    /// Run folder, or one of its checkpoints.
+    /// Run folder, or one of its checkpoints, or a task with a trained team.
     pub(crate) run: PathBuf,
     /// Number of whole episodes.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]

@@ -24,7 +24,7 @@ use crate::run::{run_path, stored};
 /// `s2mia export`
 #[derive(Args, Debug)]
 pub(crate) struct ExportArguments {
-    /// Run folder, or one of its checkpoints.
+    /// Run folder, or one of its checkpoints, or a task with a trained team.
     pub(crate) run: PathBuf,
     /// Folder for agent_0.onnx, agent_1.onnx, ..., policy.safetensors and episode.safetensors.
     #[arg(long, value_name = "DIR")]

@@ -1,35 +1,42 @@
-//! `s2mia film`: an episode of a trained policy as a strip of pictures, with its speed and signs of simulator
-//! artefacts.
+//! `s2mia film`: an episode of a trained policy as an animation or as a strip of pictures, with its speed and signs of
+//! simulator artefacts.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use crate::errors::Usage;
-use crate::film::{self, PlayedEpisode, TimedPose};
+use crate::film::{self, Animation, FFMPEG, PlayedEpisode, TimedPose, ViewDirection};
 use crate::process::output;
-use crate::process::target::{ForceArguments, Target};
+use crate::process::target::ForceArguments;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
 
 /// `s2mia film`
 #[derive(Args, Debug)]
 pub(crate) struct FilmArguments {
-    /// Run folder, or one of its checkpoints.
+    /// Run folder, or one of its checkpoints, or a task with a trained team.
     pub(crate) run: PathBuf,
     /// Index of the episode, counted as in `s2mia eval`.
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     pub(crate) episode: u32,
-    /// Number of pictures in the strip.
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
-    pub(crate) frames: u32,
+    /// Draw the pictures side by side in one PNG instead of an animation.
+    #[arg(long)]
+    pub(crate) still: bool,
+    /// Direction of view [default: three-quarter, or side with --still].
+    #[arg(long, value_enum)]
+    pub(crate) view: Option<ViewDirection>,
+    /// Number of pictures [default: 60, or 8 with --still, or those of a shorter episode].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1200))]
+    pub(crate) frames: Option<u32>,
     /// Time of the first picture [default: 5, or the middle of a shorter episode].
     #[arg(long, value_name = "SECONDS")]
     pub(crate) from_secs: Option<f64>,
     /// Time between two pictures.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.05)]
     pub(crate) every_secs: f64,
-    /// PNG file to write [default: RUN/film.png].
+    /// File to write: .gif, with ffmpeg on the path also .mp4 or .webm, with --still .png [default: RUN/film.gif or
+    /// RUN/film.png; TASK.gif or TASK.png].
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
     /// Force.
@@ -37,32 +44,104 @@ pub(crate) struct FilmArguments {
     pub(crate) force: ForceArguments,
 }
 
-/// Writes the strip and prints the measures of the whole episode.
+/// Writes the film and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
+    let format = Format::of(arguments)?;
     let trained = stored::trained(&arguments.run)?;
     demand_simulator(&trained, &arguments.run)?;
-    let target = target(arguments)?;
+    let out = ("--out", arguments.out.as_deref());
+    let own = PathBuf::from("film").with_extension(format.extension());
+    let target = run_path::target(&arguments.run, out, &own, arguments.force.existing())?;
     let episode = trained.episode(arguments.episode);
     let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
     let steps = steps(arguments, played.dt_secs, played.steps())?;
     let frames: Vec<TimedPose<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
-    let png = film::strip(&played.robot, &frames)?;
-    target.write(&png)?;
+    let animation = |view: Option<ViewDirection>| {
+        let view = view.unwrap_or(ViewDirection::ThreeQuarter);
+        Animation::of(&played.robot, &frames, view, arguments.every_secs)
+    };
+    match format {
+        Format::Still => {
+            let view = arguments.view.unwrap_or(ViewDirection::Side);
+            target.write(&film::strip(&played.robot, &frames, view)?)?;
+        }
+        Format::Gif => target.write(&animation(arguments.view)?.gif()?)?,
+        Format::Video(_) => target.fill(|draft| animation(arguments.view)?.video(draft))?,
+    }
     output::line(format!("{episode}: {}", played.summary()));
     let shown = target.path().display();
     output::line(format!("{shown}: {}", times_shown(&frames, arguments.every_secs)));
     Ok(())
 }
 
-/// The file to write: the named one, or that of the run folder.
-fn target(arguments: &FilmArguments) -> anyhow::Result<Target> {
-    match &arguments.out {
-        Some(path) => Ok(Target::named("--out", path, "png", arguments.force.existing())?),
-        None => Target::fixed(&run_path::folder_of(&arguments.run, "--out")?.join("film.png")),
+/// Format of a film.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    /// A strip of pictures as PNG.
+    Still,
+    /// An animated GIF.
+    Gif,
+    /// A video with this extension.
+    Video(&'static str),
+}
+
+/// Extensions of the videos that ffmpeg writes.
+const VIDEOS: [&str; 2] = ["mp4", "webm"];
+/// Shortest time between two pictures of a GIF that viewers respect, seconds.
+const SHORTEST_IN_GIF: f64 = 0.02;
+/// Most pictures in a strip.
+const MOST_IN_STRIP: u32 = 64;
+
+impl Format {
+    /// The format that the arguments ask for.
+    fn of(arguments: &FilmArguments) -> Result<Self, Usage> {
+        if arguments.still {
+            return match arguments.frames {
+                Some(frames) if frames > MOST_IN_STRIP => Err(Usage::new(format!(
+                    "--frames {frames}: a strip has at most {MOST_IN_STRIP} pictures; leave out --still for an animation"
+                ))),
+                _ => Ok(Self::Still),
+            };
+        }
+        let extension = arguments.out.as_deref().and_then(Path::extension);
+        let is = |one: &str| extension.is_none_or(|found| found.eq_ignore_ascii_case(one));
+        if is("gif") && arguments.every_secs < SHORTEST_IN_GIF {
+            let every = arguments.every_secs;
+            return Err(Usage::new(format!(
+                "--every-secs {every}: viewers show a GIF's pictures for at least {SHORTEST_IN_GIF} s"
+            )));
+        }
+        if is("gif") {
+            return Ok(Self::Gif);
+        }
+        let shown = arguments.out.as_deref().unwrap_or(Path::new("")).display();
+        match VIDEOS.into_iter().find(|video| is(video)) {
+            Some(video) if is_on_path(FFMPEG) => Ok(Self::Video(video)),
+            Some(_) => Err(Usage::new(format!(
+                "--out {shown}: only {FFMPEG} writes this format, and it is not on the path; install it, or name a .gif"
+            ))),
+            None => Err(Usage::new(format!(
+                "--out {shown}: no film has this format; name a .gif, .mp4 or .webm, or with --still a .png"
+            ))),
+        }
+    }
+
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Still => "png",
+            Self::Gif => "gif",
+            Self::Video(extension) => extension,
+        }
     }
 }
 
-/// The times that the strip shows.
+/// Whether a folder of the variable `PATH` has a file of this name.
+fn is_on_path(program: &str) -> bool {
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders).any(|folder| folder.join(program).is_file())
+}
+
+/// The times that the film shows.
 fn times_shown(frames: &[TimedPose<'_>], every_secs: f64) -> String {
     let first = frames[0].time_secs;
     let last = frames[frames.len() - 1].time_secs;
@@ -100,7 +179,8 @@ fn steps(arguments: &FilmArguments, dt_secs: f64, length: usize) -> Result<Vec<u
             "--every-secs {asked} does not fit: the shortest interval is one step, {dt_secs} s"
         )));
     }
-    let span = f64::from(arguments.frames - 1) * every;
+    let frames = frames(arguments, length as f64 / every);
+    let span = f64::from(frames - 1) * every;
     let from =
         arguments.from_secs.map_or(usual_start(dt_secs, length, span), |from| from / dt_secs);
     let last = from + span;
@@ -113,9 +193,13 @@ fn steps(arguments: &FilmArguments, dt_secs: f64, length: usize) -> Result<Vec<u
              change --from-secs, --every-secs or --frames"
         )));
     }
-    Ok((0..arguments.frames)
-        .map(|frame| (from + f64::from(frame) * every).round() as usize)
-        .collect())
+    Ok((0..frames).map(|frame| (from + f64::from(frame) * every).round() as usize).collect())
+}
+
+/// The number of frames in an episode of `intervals` intervals between two frames.
+fn frames(arguments: &FilmArguments, intervals: f64) -> u32 {
+    let usual = if arguments.still { 8 } else { 60 };
+    arguments.frames.unwrap_or_else(|| usual.min((intervals + ROUNDING) as u32 + 1))
 }
 
 /// Default first frame, in steps. A short episode is shown from its middle, or earlier if the frames then fit.
@@ -135,7 +219,9 @@ mod tests {
         FilmArguments {
             run: PathBuf::new(),
             episode: 0,
-            frames,
+            still: true,
+            view: None,
+            frames: Some(frames),
             from_secs,
             every_secs,
             out: None,
@@ -169,6 +255,9 @@ mod tests {
         let line = refusal(&arguments(8, Some(49.9), 0.05), 1000);
         assert!(line.contains("49.90 s to 50.25 s") && line.contains("50.00 s"), "{line}");
         refusal(&arguments(8, None, 0.05), 3);
+        // Without --frames a short episode has fewer.
+        let all = FilmArguments { frames: None, ..arguments(1, None, 0.05) };
+        assert_eq!(steps(&all, 0.05, 3).unwrap(), [0, 1, 2, 3]);
         refusal(&arguments(1, Some(f64::NAN), 0.05), 1000);
         refusal(&arguments(1, Some(-1.0), 0.05), 1000);
     }

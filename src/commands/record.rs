@@ -9,8 +9,8 @@ use recording::{RecordError, RecordSummary, RecordedRun};
 use rollout::EvaluationEpisode;
 
 use crate::figures::chart;
-use crate::process::target::{ForceArguments, Target};
-use crate::process::{output, target};
+use crate::process::output;
+use crate::process::target::ForceArguments;
 use crate::progress::WorkProgress;
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
@@ -19,7 +19,7 @@ use crate::run::{run_path, stored};
 /// `s2mia record`
 #[derive(Args, Debug)]
 pub(crate) struct RecordArguments {
-    /// Run folder, or one of its checkpoints.
+    /// Run folder, or one of its checkpoints, or a task with a trained team.
     pub(crate) run: PathBuf,
     /// Number of whole episodes to record, from episode 0 on.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
@@ -27,7 +27,7 @@ pub(crate) struct RecordArguments {
     /// Record only the episode with this index, counted as in `s2mia eval`.
     #[arg(long, value_name = "INDEX", conflicts_with = "episodes")]
     pub(crate) episode: Option<u32>,
-    /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap].
+    /// MCAP file to write [default: RUN/logs/iter_ITERATION.mcap or TASK.mcap].
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
     /// Force.
@@ -38,7 +38,9 @@ pub(crate) struct RecordArguments {
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let trained = stored::trained(&arguments.run)?;
-    let target = target(arguments, trained.iteration)?;
+    let out = ("--out", arguments.out.as_deref());
+    let own = Path::new(LOGS).join(format!("iter_{:08}.mcap", trained.iteration));
+    let target = run_path::target(&arguments.run, out, &own, arguments.force.existing())?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
     let run = recorded(arguments, &trained, &hosted)?;
     let episodes = episodes(arguments, &trained);
@@ -72,16 +74,6 @@ fn played(
         let place = || format!("episode {}/{count}, step {step}", index + 1);
         progress.reach(index as u64 * most + u64::from(step), count as u64 * most, place);
     })
-}
-
-/// The file to write; its folder must exist. The run's own folder of logs is created.
-fn target(arguments: &RecordArguments, iteration: u64) -> anyhow::Result<Target> {
-    if let Some(path) = &arguments.out {
-        return Ok(Target::named("--out", path, "mcap", arguments.force.existing())?);
-    }
-    let logs = run_path::folder_of(&arguments.run, "--out")?.join(LOGS);
-    target::folder(&logs)?;
-    Target::fixed(&logs.join(format!("iter_{iteration:08}.mcap")))
 }
 
 /// The chosen episode, or the first ones.

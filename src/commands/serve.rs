@@ -9,23 +9,22 @@ use anyhow::Context as _;
 use clap::Args;
 use learner::lease::published::Published;
 use learner::serve::service::{ServedPolicies, serve_policies};
-use learner::store::checkpoint::Loaded;
 use learner::store::run_folder::RunFolder;
 use policy::RunSeed;
-use proto::{AgentSpec, EnvironmentSpec, PolicyVersion};
+use proto::{AgentSpec, EnvironmentSpec};
 use tokio::sync::watch;
 
 use crate::endpoints::{Listening, ServerTlsArguments};
 use crate::errors::Usage;
 use crate::process::{self, output, runtime};
 use crate::run::offered::RunEnvironment;
-use crate::run::stored::config_of_run;
+use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
 
 /// `s2mia serve`
 #[derive(Args, Debug)]
 pub(crate) struct ServeArguments {
-    /// Run folder, or one of its checkpoints.
+    /// Run folder, or one of its checkpoints, or a task with a trained team.
     pub(crate) run: PathBuf,
     /// Address on which the server listens for clients of the policies.
     #[arg(
@@ -85,18 +84,17 @@ impl ServedRun {
     /// # Errors
     /// The run has no valid checkpoint, or its environment cannot be reached.
     fn open(folder: &Path) -> anyhow::Result<Self> {
-        let loaded = stored::load(folder)?;
-        let config = config_of_run(folder)?;
-        let hosted = RunEnvironment::of(&config)?;
+        let trained = stored::trained(folder)?;
+        let hosted = RunEnvironment::of(&trained.config)?;
         let environment = hosted.environment.description().clone();
-        let hidden = |_: &AgentSpec| config.policy.hidden_size() as u32;
+        let hidden = |_: &AgentSpec| trained.config.policy.hidden_size() as u32;
         let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
-        let newest = Arc::new(policies(loaded, &environment, &hidden_sizes)?);
+        let newest = Arc::new(policies(folder, &trained, &environment, &hidden_sizes)?);
         let newest = watch::Sender::new(newest);
         let agents = 0..environment.agents.len();
         let control_ranges = agents.map(|agent| hosted.environment.control_ranges(agent)).collect();
-        let algorithm = config.resolved.text("algorithm").to_owned();
-        let (path, seed) = (folder.to_path_buf(), RunSeed(config.run.seed));
+        let algorithm = trained.config.resolved.text("algorithm").to_owned();
+        let (path, seed) = (folder.to_path_buf(), RunSeed(trained.config.run.seed));
         Ok(Self { path, algorithm, seed, environment, control_ranges, hidden_sizes, newest })
     }
 
@@ -114,11 +112,9 @@ impl ServedRun {
 
     /// Loads each new checkpoint on a separate thread until the process ends.
     fn follow(self) -> anyhow::Result<()> {
-        if learner::store::checkpoint::is_checkpoint(&self.path) {
+        if learner::store::checkpoint::is_checkpoint(&self.path) || !self.path.exists() {
             let shown = self.path.display();
-            let why = format!(
-                "{shown} is a checkpoint, which never changes; name its run, or leave out --follow"
-            );
+            let why = format!("{shown} is no run, and never changes; leave out --follow");
             return Err(Usage::new(why).into());
         }
         let thread = std::thread::Builder::new().name("follow".to_owned());
@@ -133,8 +129,10 @@ impl ServedRun {
             let found = learner::store::checkpoint::newest_iteration(&self.path).ok().flatten();
             let Some(iteration) = found.filter(|iteration| *iteration > seen) else { continue };
             seen = iteration;
-            let loaded = stored::load(&self.path);
-            match loaded.and_then(|of| policies(of, &self.environment, &self.hidden_sizes)) {
+            let trained = stored::trained(&self.path);
+            match trained
+                .and_then(|of| policies(&self.path, &of, &self.environment, &self.hidden_sizes))
+            {
                 Ok(policies) => {
                     let version = policies.name.version;
                     tracing::info!("new episodes use the policies of iteration {version}");
@@ -146,20 +144,14 @@ impl ServedRun {
     }
 }
 
-/// The policies in a checkpoint of the run.
+/// The policies as clients get them.
 fn policies(
-    loaded: Loaded,
+    run: &Path,
+    trained: &Trained,
     environment: &EnvironmentSpec,
     hidden_sizes: &[u32],
 ) -> anyhow::Result<Published> {
-    let version = PolicyVersion(loaded.checkpoint.iteration);
-    let parsed = Published::parse(
-        version,
-        loaded.checkpoint.policy.into(),
-        &environment.agents,
-        hidden_sizes,
-    );
-    parsed.map_err(|why| {
-        anyhow::anyhow!("cannot serve the policy in {}: {why}", loaded.path.display())
-    })
+    let (version, bytes) = (trained.weights.version, trained.policy.to_bytes()?);
+    let parsed = Published::parse(version, bytes.into(), &environment.agents, hidden_sizes);
+    parsed.map_err(|why| anyhow::anyhow!("cannot serve the policies of {}: {why}", run.display()))
 }

@@ -14,7 +14,7 @@ use sim::{Actuator, EnvironmentBatch, Outcome, Pose, Robot, Torque};
 
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::film::{self, RobotShapes, TimedPose};
+use crate::film::{self, RobotShapes, TimedPose, ViewDirection};
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, shell, target};
 
@@ -338,7 +338,7 @@ impl Trial {
             let step = picture * (self.poses.len() - 1) / count.saturating_sub(1).max(1);
             TimedPose { time_secs: step as f64 * dt_secs, pose: &self.poses[step] }
         };
-        film::strip(&robot, &(0..count).map(frame).collect::<Vec<_>>())
+        film::strip(&robot, &(0..count).map(frame).collect::<Vec<_>>(), ViewDirection::Side)
     }
 }
 

@@ -1,7 +1,8 @@
-//! A robot's shapes as pixels: its capsules seen from the side or from above, the camera that keeps its root in the middle of
-//! the frame, and the floor.
+//! A robot's shapes as pixels: its capsules in a direction of view, the camera that keeps its root in the middle of the frame,
+//! and the floor.
 
-use sim::Pose;
+use clap::ValueEnum;
+use sim::{LinkPose, Pose};
 use tiny_skia::{Color, FillRule, LineCap, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
 
 use crate::figures::style::{OKABE_ITO, Rgb};
@@ -11,8 +12,10 @@ use crate::film::RobotShapes;
 /// if the ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ProjectedCapsule {
-    /// In the picture's plane, metres: x, and z or y.
+    /// In the picture's plane, metres: to the right and up.
     pub(super) ends: [[f32; 2]; 2],
+    /// The ends of its shadow under a light straight above, in the picture's plane.
+    pub(super) shadow: [[f32; 2]; 2],
     /// Metres.
     pub(super) radius: f32,
     /// Distance of the middle behind the plane, metres.
@@ -22,30 +25,45 @@ pub(super) struct ProjectedCapsule {
 }
 
 /// Direction of view.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ViewDirection {
-    /// Along y.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ViewDirection {
+    /// Along y: motion along x, and heights.
     Side,
-    /// Down along z.
-    Above,
+    /// Down along z: the paths of all feet.
+    Top,
+    /// From the front right and 30 degrees above.
+    ThreeQuarter,
 }
 
 impl ViewDirection {
-    /// A point of the world in the picture's plane, metres.
-    pub(super) fn plane(self, [x, y, z]: [f32; 3]) -> [f32; 2] {
+    /// Unit vectors in the world: to the right, up, and away from the viewer.
+    fn axes(self) -> [[f32; 3]; 3] {
         match self {
-            Self::Side => [x, z],
-            Self::Above => [x, y],
+            Self::Side => [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]],
+            Self::Top => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]],
+            Self::ThreeQuarter => {
+                // Sine and cosine of 30 degrees.
+                let (s, c) = (0.5, 0.75_f32.sqrt());
+                [[c, s, 0.0], [-s * s, c * s, c], [-s * c, c * c, -s]]
+            }
         }
     }
 
-    /// Distance of a point behind the plane, metres.
-    fn depth(self, [_, y, z]: [f32; 3]) -> f32 {
-        match self {
-            Self::Side => y,
-            Self::Above => -z,
-        }
+    /// A point of the world in the picture's plane, metres.
+    pub(super) fn plane(self, point: [f32; 3]) -> [f32; 2] {
+        let [right, up, _] = self.axes();
+        [along(right, point), along(up, point)]
     }
+
+    /// Distance of a point behind the plane, metres.
+    fn depth(self, point: [f32; 3]) -> f32 {
+        along(self.axes()[2], point)
+    }
+}
+
+/// Scalar product.
+fn along(axis: [f32; 3], point: [f32; 3]) -> f32 {
+    axis.iter().zip(point).map(|(a, b)| a * b).sum()
 }
 
 /// The capsules of a pose, the farthest first.
@@ -60,9 +78,10 @@ pub(super) fn capsules(
             let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.flat_map(|shape| shape.capsules()).map(move |capsule| {
                 let ends = capsule.ends.map(|end| link.in_world(end));
+                let shadow = ends.map(|[x, y, _]| view.plane([x, y, 0.0]));
                 let (radius, depth) = (capsule.radius, ends.map(|end| view.depth(end)));
                 let (ends, depth) = (ends.map(|end| view.plane(end)), (depth[0] + depth[1]) / 2.0);
-                ProjectedCapsule { ends, radius, depth, agent }
+                ProjectedCapsule { ends, shadow, radius, depth, agent }
             })
         })
         .collect();
@@ -71,9 +90,9 @@ pub(super) fn capsules(
 }
 
 /// Size of a frame, pixels.
-pub(super) const WIDTH: u32 = 400;
+pub(super) const WIDTH: u32 = 480;
 pub(super) const HEIGHT: u32 = 270;
-/// Height of the ground under the floor's line, pixels.
+/// Height of the ground under the floor's line in a view from the side, pixels.
 pub(super) const GROUND: u32 = 34;
 /// Pixels that stay free between a robot and the frame's edge.
 const MARGIN: f32 = 16.0;
@@ -81,49 +100,83 @@ const MARGIN: f32 = 16.0;
 const LARGEST: f32 = 400.0;
 
 /// One frame's view.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Camera {
-    /// The x in the middle of the frame, metres.
-    pub(super) middle: f32,
+    /// Its direction.
+    pub(super) view: ViewDirection,
+    /// The point of the floor that the camera follows, which is in the middle between left and right.
+    pub(super) on: [f32; 2],
     /// Scale.
     pub(super) pixels_per_metre: f32,
 }
 
 impl Camera {
-    /// Pixels right of and below the frame's upper left corner, for an x and z in the world.
-    pub(super) fn pixel(&self, [x, z]: [f32; 2]) -> (f32, f32) {
-        let right = WIDTH as f32 / 2.0 + (x - self.middle) * self.pixels_per_metre;
-        (right, (HEIGHT - GROUND) as f32 - z * self.pixels_per_metre)
+    /// The camera that follows the root of a robot, at the largest scale at which its capsules fit.
+    pub(super) fn of(view: ViewDirection, capsules: &[ProjectedCapsule], root: &LinkPose) -> Self {
+        let [x, y, _] = root.position;
+        let camera = Self { view, on: [x, y], pixels_per_metre: LARGEST };
+        Self { pixels_per_metre: camera.fitting(capsules), ..camera }
     }
 
-    /// The whole metres in the frame and how many pixels from its left edge they are.
-    pub(super) fn metres(&self) -> impl Iterator<Item = (i64, f32)> {
-        let half = WIDTH as f32 / 2.0 / self.pixels_per_metre;
-        let first = (self.middle - half).ceil();
-        let last = (self.middle + half).floor();
-        (first as i64..=last as i64).map(|metre| (metre, self.pixel([metre as f32, 0.0]).0))
+    /// Pixels right of and below the frame's upper left corner, for a point of the picture's plane.
+    pub(super) fn pixel(&self, point: [f32; 2]) -> (f32, f32) {
+        let [right, up] = self.offset(point).map(|metres| metres * self.pixels_per_metre);
+        (WIDTH as f32 / 2.0 + right, self.horizon() - up)
     }
-}
 
-/// Pixels per metre at which every frame's capsules fit, given each frame's middle.
-pub(super) fn scale(frames: &[Vec<ProjectedCapsule>], middles: &[f32]) -> f32 {
-    let mut scale = LARGEST;
-    for (capsules, middle) in frames.iter().zip(middles) {
-        for capsule in capsules {
-            for [x, z] in capsule.ends {
-                let aside = (x - middle).abs() + capsule.radius;
-                let across = (WIDTH as f32 / 2.0 - MARGIN) / aside.max(f32::EPSILON);
-                let upwards =
-                    ((HEIGHT - GROUND) as f32 - MARGIN) / (z + capsule.radius).max(f32::EPSILON);
-                scale = scale.min(across).min(upwards);
-            }
+    /// From the followed point to one of the picture's plane, metres to the right and up.
+    fn offset(&self, [right, up]: [f32; 2]) -> [f32; 2] {
+        let [x, y] = self.on;
+        let on = self.view.plane([x, y, 0.0]);
+        [right - on[0], up - on[1]]
+    }
+
+    /// Pixels from the frame's upper edge to the followed point.
+    fn horizon(&self) -> f32 {
+        match self.view {
+            ViewDirection::Side => (HEIGHT - GROUND) as f32,
+            ViewDirection::Top => HEIGHT as f32 / 2.0,
+            ViewDirection::ThreeQuarter => HEIGHT as f32 * 0.62,
         }
     }
-    scale
+
+    /// The whole metres of x in a frame from the side, and how many pixels from its left edge they are; none from above.
+    pub(super) fn metres(&self) -> Vec<(i64, f32)> {
+        if self.view != ViewDirection::Side {
+            return Vec::new();
+        }
+        let half = WIDTH as f32 / 2.0 / self.pixels_per_metre;
+        let [first, last] = [(self.on[0] - half).ceil(), (self.on[0] + half).floor()];
+        let metres = first as i64..=last as i64;
+        metres.map(|metre| (metre, self.pixel([metre as f32, 0.0]).0)).collect()
+    }
+
+    /// The largest scale at which the capsules fit, pixels per metre.
+    fn fitting(&self, capsules: &[ProjectedCapsule]) -> f32 {
+        let above = self.horizon() - MARGIN;
+        let below = HEIGHT as f32 - self.horizon();
+        let aside = WIDTH as f32 / 2.0 - MARGIN;
+        let mut scale = LARGEST;
+        for capsule in capsules {
+            for [right, up] in capsule.ends.map(|end| self.offset(end)) {
+                for (room, metres) in [(aside, right.abs()), (above, up), (below, -up)] {
+                    let metres = metres + capsule.radius;
+                    if metres > 0.0 {
+                        scale = scale.min(room / metres);
+                    }
+                }
+            }
+        }
+        scale
+    }
 }
 
 const SKY: Rgb = [244, 246, 248];
 const EARTH: Rgb = [222, 226, 230];
 const FLOOR: Rgb = [90, 98, 106];
+/// The floor's lines where it fills the frame.
+const LINES: Rgb = [204, 210, 216];
+const SHADOW: Rgb = [196, 201, 206];
 /// Colour of links that no agent drives.
 const UNDRIVEN: Rgb = [152, 158, 164];
 /// Width of the edge around a capsule, pixels.
@@ -135,16 +188,15 @@ const TICK: f32 = 8.0;
 
 /// One frame without its captions. `capsules` are painted in their order.
 pub(super) fn panel(capsules: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
-    let mut pixmap = sky();
-    floor(&mut pixmap, camera);
-    draw_all(&mut pixmap, capsules, camera);
-    pixmap
-}
-
-/// Solids alone, painted in their order.
-pub(super) fn panel_without_floor(capsules: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
-    let mut pixmap = sky();
-    draw_all(&mut pixmap, capsules, camera);
+    let mut pixmap = Pixmap::new(WIDTH, HEIGHT).expect("a frame has a size");
+    match camera.view {
+        ViewDirection::Side => horizon(&mut pixmap, camera),
+        ViewDirection::Top | ViewDirection::ThreeQuarter => {
+            lines(&mut pixmap, camera);
+            capsules.iter().for_each(|capsule| shadow(&mut pixmap, capsule, camera));
+        }
+    }
+    capsules.iter().for_each(|capsule| draw(&mut pixmap, capsule, camera));
     pixmap
 }
 
@@ -166,8 +218,10 @@ pub(super) fn colour(agent: Option<usize>) -> Rgb {
     agent.map_or(UNDRIVEN, |agent| OKABE_ITO[agent % OKABE_ITO.len()])
 }
 
-fn floor(pixmap: &mut Pixmap, camera: &Camera) {
-    let top = (HEIGHT - GROUND) as f32;
+/// The floor seen from its side, with a mark at each whole metre.
+fn horizon(pixmap: &mut Pixmap, camera: &Camera) {
+    fill(pixmap, SKY);
+    let top = camera.horizon();
     rectangle(pixmap, [0.0, top, WIDTH as f32, GROUND as f32], EARTH);
     rectangle(pixmap, [0.0, top, WIDTH as f32, 2.0], FLOOR);
     for (_, x) in camera.metres() {
@@ -175,16 +229,25 @@ fn floor(pixmap: &mut Pixmap, camera: &Camera) {
     }
 }
 
-fn sky() -> Pixmap {
-    let mut pixmap = Pixmap::new(WIDTH, HEIGHT).expect("a frame has a size");
-    pixmap.fill(Color::from_rgba8(SKY[0], SKY[1], SKY[2], 255));
-    pixmap
+/// The floor seen from above, with lines at the whole metres of x and y.
+fn lines(pixmap: &mut Pixmap, camera: &Camera) {
+    fill(pixmap, SKY);
+    let [x, y] = camera.on;
+    // Twice the frame's width, because a view from obliquely above shortens the floor by half.
+    let reach = 2.0 * WIDTH as f32 / camera.pixels_per_metre;
+    let whole = |middle: f32| (middle - reach).ceil() as i64..=(middle + reach).floor() as i64;
+    let place = |x, y| camera.pixel(camera.view.plane([x, y, 0.0]));
+    for metre in whole(x).map(|metre| metre as f32) {
+        rounded(pixmap, [place(metre, y - reach), place(metre, y + reach)], 0.75, LINES);
+    }
+    for metre in whole(y).map(|metre| metre as f32) {
+        rounded(pixmap, [place(x - reach, metre), place(x + reach, metre)], 0.75, LINES);
+    }
 }
 
-fn draw_all(pixmap: &mut Pixmap, capsules: &[ProjectedCapsule], camera: &Camera) {
-    for capsule in capsules {
-        draw(pixmap, capsule, camera);
-    }
+fn shadow(pixmap: &mut Pixmap, capsule: &ProjectedCapsule, camera: &Camera) {
+    let ends = capsule.shadow.map(|end| camera.pixel(end));
+    rounded(pixmap, ends, capsule.radius * camera.pixels_per_metre, SHADOW);
 }
 
 fn draw(pixmap: &mut Pixmap, capsule: &ProjectedCapsule, camera: &Camera) {
@@ -220,6 +283,10 @@ fn rounded(pixmap: &mut Pixmap, [from, to]: [(f32, f32); 2], radius: f32, colour
     }
 }
 
+fn fill(pixmap: &mut Pixmap, [red, green, blue]: Rgb) {
+    pixmap.fill(Color::from_rgba8(red, green, blue, 255));
+}
+
 /// Left, top, width and height in pixels.
 fn rectangle(pixmap: &mut Pixmap, [left, top, width, height]: [f32; 4], colour: Rgb) {
     if let Some(area) = Rect::from_xywh(left, top, width, height) {
@@ -237,28 +304,48 @@ fn paint([red, green, blue]: Rgb) -> Paint<'static> {
 mod tests {
     use super::*;
 
+    fn side(x: f32) -> Camera {
+        Camera { view: ViewDirection::Side, on: [x, 7.0], pixels_per_metre: 100.0 }
+    }
+
     #[test]
     fn a_metre_to_the_right_and_up_is_the_scale_in_pixels() {
-        let camera = Camera { middle: 5.0, pixels_per_metre: 100.0 };
-        assert_eq!(camera.pixel([5.0, 0.0]), (200.0, 236.0));
-        assert_eq!(camera.pixel([6.0, 1.0]), (300.0, 136.0));
+        let camera = side(5.0);
+        assert_eq!(camera.pixel([5.0, 0.0]), (240.0, 236.0));
+        assert_eq!(camera.pixel([6.0, 1.0]), (340.0, 136.0));
     }
 
     #[test]
     fn whole_metres_are_those_in_the_frame() {
-        let camera = Camera { middle: 5.5, pixels_per_metre: 100.0 };
-        let metres: Vec<_> = camera.metres().collect();
-        assert_eq!(metres, [(4, 50.0), (5, 150.0), (6, 250.0), (7, 350.0)]);
+        assert_eq!(side(5.5).metres(), [(4, 90.0), (5, 190.0), (6, 290.0), (7, 390.0)]);
     }
 
     #[test]
-    fn the_farthest_point_of_any_frame_decides_the_scale() {
+    fn the_axes_of_a_view_are_at_right_angles_of_length_one_and_right_handed() {
+        for view in ViewDirection::value_variants() {
+            let [right, up, away] = view.axes();
+            for (first, second, product) in
+                [(right, right, 1.0), (up, up, 1.0), (right, up, 0.0), (right, away, 0.0)]
+            {
+                assert!((along(first, second) - product).abs() < 1e-6, "{view:?}");
+            }
+            let [[a, b, c], [d, e, f]] = [right, up];
+            let towards_viewer = [b * f - c * e, c * d - a * f, a * e - b * d];
+            assert!((along(towards_viewer, away) + 1.0).abs() < 1e-6, "{view:?}");
+        }
+    }
+
+    #[test]
+    fn the_farthest_point_decides_the_scale() {
         let ball = |x: f32, z: f32| {
-            vec![ProjectedCapsule { ends: [[x, z]; 2], radius: 0.5, depth: 0.0, agent: None }]
+            let ends = [[x, z]; 2];
+            [ProjectedCapsule { ends, shadow: ends, radius: 0.5, depth: 0.0, agent: None }]
         };
-        let wide = scale(&[ball(0.0, 0.5), ball(12.3, 0.5)], &[0.0, 10.0]);
-        assert!((wide - 184.0 / 2.8).abs() < 1e-3, "{wide}");
-        let tall = scale(&[ball(0.0, 3.9)], &[0.0]);
-        assert_eq!(tall, 50.0);
+        let wide = side(10.0).fitting(&ball(12.3, 0.5));
+        assert!((wide - 224.0 / 2.8).abs() < 1e-3, "{wide}");
+        assert_eq!(side(0.0).fitting(&ball(0.0, 3.9)), 50.0);
+        // In the middle of a frame from above, the followed point has room below it, too.
+        let above = Camera { view: ViewDirection::Top, on: [0.0, 0.0], pixels_per_metre: 1.0 };
+        assert_eq!(above.fitting(&ball(0.0, -1.75)), 60.0);
     }
 }

@@ -7,6 +7,8 @@ use super::*;
 use crate::config::run_config::RunConfig;
 use crate::figures::style::Rgb;
 
+const SIDE: Camera = Camera { view: ViewDirection::Side, on: [7.0, 0.0], pixels_per_metre: 150.0 };
+
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 /// A ball as root and two legs, each driven by another agent.
@@ -51,19 +53,18 @@ fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
 #[test]
 fn a_link_is_drawn_where_it_is_in_the_colour_of_its_agent_and_nothing_far_from_it() {
     let (robot, pose) = two_legs();
-    let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &camera);
-    let empty = drawing::panel(&[], &camera);
+    let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &SIDE);
+    let empty = drawing::panel(&[], &SIDE);
     // The ends of the left leg's middle line, then a point within its round upper end.
     for point in [[6.5, 0.2], [6.5, 0.8], [6.5, 0.88]] {
-        assert_eq!(seen(&picture, &camera, point), drawing::colour(Some(0)), "{point:?}");
+        assert_eq!(seen(&picture, &SIDE, point), drawing::colour(Some(0)), "{point:?}");
     }
-    assert_eq!(seen(&picture, &camera, [7.0, 1.0]), drawing::colour(None));
-    assert_eq!(seen(&picture, &camera, [7.5, 0.5]), drawing::colour(Some(1)));
+    assert_eq!(seen(&picture, &SIDE, [7.0, 1.0]), drawing::colour(None));
+    assert_eq!(seen(&picture, &SIDE, [7.5, 0.5]), drawing::colour(Some(1)));
     let colours = [drawing::colour(Some(0)), drawing::colour(Some(1)), drawing::colour(None)];
     assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
     for point in [[6.5, 0.95], [6.35, 0.5], [7.0, 0.5], [8.2, 1.4], [7.0, -0.1]] {
-        assert_eq!(seen(&picture, &camera, point), seen(&empty, &camera, point), "{point:?}");
+        assert_eq!(seen(&picture, &SIDE, point), seen(&empty, &SIDE, point), "{point:?}");
     }
 }
 
@@ -83,11 +84,10 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
     let (mut robot, pose) = two_legs();
     let half = core::f32::consts::FRAC_1_SQRT_2;
     robot.shapes[1].quaternion = [half, 0.0, 0.0, half];
-    let camera = Camera { middle: 7.0, pixels_per_metre: 150.0 };
-    let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &camera);
-    let empty = drawing::panel(&[], &camera);
-    assert_eq!(seen(&picture, &camera, [6.5, 0.5]), drawing::colour(Some(0)));
-    assert_eq!(seen(&picture, &camera, [6.5, 0.8]), seen(&empty, &camera, [6.5, 0.8]));
+    let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &SIDE);
+    let empty = drawing::panel(&[], &SIDE);
+    assert_eq!(seen(&picture, &SIDE, [6.5, 0.5]), drawing::colour(Some(0)));
+    assert_eq!(seen(&picture, &SIDE, [6.5, 0.8]), seen(&empty, &SIDE, [6.5, 0.8]));
 }
 
 #[test]
@@ -95,13 +95,69 @@ fn a_strip_is_as_large_as_it_says_and_shows_every_agent() {
     let (robot, pose) = two_legs();
     let frames: Vec<_> =
         (0..5).map(|k| TimedPose { time_secs: f64::from(k), pose: &pose }).collect();
-    let picture = Pixmap::decode_png(&strip(&robot, &frames).unwrap()).unwrap();
+    let picture =
+        Pixmap::decode_png(&strip(&robot, &frames, ViewDirection::Side).unwrap()).unwrap();
     assert_eq!((picture.width(), picture.height()), size(5, 2));
     for agent in [Some(0), Some(1), None] {
         let [red, green, blue] = drawing::colour(agent);
         let wanted = PremultipliedColorU8::from_rgba(red, green, blue, 255).unwrap();
         assert!(picture.pixels().contains(&wanted), "{agent:?}");
     }
+}
+
+/// The robot two metres further in each frame.
+fn walk(count: u8, pose: &Pose) -> Vec<Pose> {
+    let moved = |index| {
+        let mut pose = pose.clone();
+        pose.links.iter_mut().for_each(|link| link.position[0] += 2.0 * f32::from(index));
+        pose
+    };
+    (0..count).map(moved).collect()
+}
+
+#[test]
+fn a_gif_repeats_the_same_frames_for_ever_at_their_times_with_the_robot_in_the_middle() {
+    let (robot, pose) = two_legs();
+    let poses = walk(4, &pose);
+    let frames: Vec<_> = poses.iter().map(|pose| TimedPose { time_secs: 0.0, pose }).collect();
+    let animation = || Animation::of(&robot, &frames, ViewDirection::Side, 0.025).unwrap();
+    let bytes = animation().gif().unwrap();
+    assert_eq!(bytes, animation().gif().unwrap());
+    let mut decoder = gif::Decoder::new(bytes.as_slice()).unwrap();
+    assert_eq!((decoder.width(), decoder.height()), (480, 300));
+    assert_eq!(decoder.repeat(), gif::Repeat::Infinite);
+    let palette = decoder.global_palette().unwrap().to_vec();
+    let mut shown = vec![0; 480 * 300];
+    let mut delays = Vec::new();
+    while let Some(frame) = decoder.read_next_frame().unwrap() {
+        delays.push(frame.delay);
+        let changed = frame.buffer.iter().enumerate().filter(|(_, index)| **index != 0);
+        changed.for_each(|(place, index)| shown[place] = *index);
+        let seen = |x: usize, y: usize| {
+            let index = 3 * usize::from(shown[y * 480 + x]);
+            [palette[index], palette[index + 1], palette[index + 2]]
+        };
+        // The root is a ball around one metre above the floor, at the largest scale at which it fits.
+        let scale = 220.0 / 1.2;
+        assert_eq!(seen(240, 236 - scale as usize), drawing::colour(None));
+        let leg = (0.5 * scale) as usize;
+        assert_eq!(seen(240 - leg, 236 - leg), drawing::colour(Some(0)));
+        assert_eq!(seen(240 + leg, 236 - leg), drawing::colour(Some(1)));
+    }
+    assert_eq!(delays, [3, 2, 3, 2]);
+}
+
+#[test]
+fn an_obliquely_seen_robot_has_a_shadow_below_it() {
+    let (robot, pose) = two_legs();
+    let camera = Camera { view: ViewDirection::ThreeQuarter, ..SIDE };
+    let capsules = drawing::capsules(&robot, &pose, camera.view);
+    let picture = drawing::panel(&capsules, &camera);
+    let empty = drawing::panel(&[], &camera);
+    let on_floor = camera.view.plane([7.0, 0.0, 0.0]);
+    assert_ne!(seen(&picture, &camera, on_floor), seen(&empty, &camera, on_floor));
+    let root = camera.view.plane([7.0, 0.0, 1.0]);
+    assert_eq!(seen(&picture, &camera, root), drawing::colour(None));
 }
 
 #[test]

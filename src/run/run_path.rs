@@ -13,6 +13,7 @@ use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Resolved, layers};
 use crate::errors::Usage;
 use crate::process::shell;
+use crate::process::target::{self, Existing, Target};
 
 /// Longest name of a folder that file systems allow, bytes.
 const LONGEST_NAME: usize = 255;
@@ -69,7 +70,7 @@ pub(crate) fn demand_resumable(folder: &Path) -> Result<(), Usage> {
 ///
 /// # Errors
 /// `path` is a checkpoint outside a run.
-pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
+fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
     let run = RunFolder::of(path);
     if !checkpoint::is_checkpoint(&run) {
         return Ok(run);
@@ -78,6 +79,27 @@ pub(crate) fn folder_of(path: &Path, option: &str) -> Result<PathBuf, Usage> {
         "{} is a checkpoint without its run; name the file to write with {option}",
         path.display()
     )))
+}
+
+/// The file that a command writes for the run at `path`: the one that `option` names, or `own` in the run's folder. A team
+/// that comes with the program has no folder; its file is named for the task.
+///
+/// # Errors
+/// As of [`Target`]; or `path` is a checkpoint outside a run.
+pub(crate) fn target(
+    path: &Path,
+    (option, named): (&str, Option<&Path>),
+    own: &Path,
+    existing: Existing,
+) -> anyhow::Result<Target> {
+    let extension = own.extension().unwrap_or_default().to_string_lossy();
+    let team = (!path.exists()).then(|| format!("{}.{extension}", path.display()));
+    if let Some(file) = named.or(team.as_deref().map(Path::new)) {
+        return Ok(Target::named(option, file, &extension, existing)?);
+    }
+    let file = folder_of(path, option)?.join(own);
+    file.parent().map_or(Ok(()), target::folder)?;
+    Target::fixed(&file)
 }
 
 /// The files of a folder whose names `belong`, in the order of their names. Refuses pipes and devices, which would block.

@@ -15,6 +15,7 @@ use rollout::EvaluationEpisode;
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
 use crate::process::shell;
+use crate::run::pretrained;
 use crate::run::run_path::demand_run;
 
 /// The file with the settings of the run in `folder`, and what it says: `config.toml`, or the newest checkpoint's copy if
@@ -92,8 +93,11 @@ pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
     Ok(Some(loaded))
 }
 
-/// The newest policy of a run.
+/// The newest policy of a run, or the trained team of a task that `run` names.
 pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
+    if let Some(team) = pretrained::named(run)? {
+        return Ok(team);
+    }
     let loaded = load(run)?;
     let config = config_of_run(run)?;
     let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)

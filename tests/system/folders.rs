@@ -21,7 +21,7 @@ fn a_checkpoint_is_read_in_the_place_of_a_run_and_no_run_starts_in_it() {
     assert!(succeeded(&["status", text(&first)]).contains("my run is finished"));
     succeeded(&["film", text(&first), "--frames", "1"]);
     succeeded(&["record", text(&first)]);
-    assert!(run.join("film.png").is_file() && run.join("logs/iter_00000001.mcap").is_file());
+    assert!(run.join("film.gif").is_file() && run.join("logs/iter_00000001.mcap").is_file());
     succeeded(&["export", text(&first), "--onnx", text(&runs.folder("onnx"))]);
     let copy = runs.folder("copy");
     assert!(Command::new("cp").arg("-r").args([&first, &copy]).status().unwrap().success());
@@ -61,7 +61,7 @@ fn existing_files_are_replaced_only_on_request_and_no_folder_around_a_file_is_cr
     let (run, onnx) = (text(&folder), runs.folder("onnx"));
     let missing = runs.folder("mising");
     for (words, option, name) in [
-        (&["film", run, "--frames", "1"][..], "--out", "a.png"),
+        (&["film", run, "--frames", "1"][..], "--out", "a.gif"),
         (&["record", run], "--out", "a.mcap"),
         (&["export", run], "--onnx", "onnx"),
         (&["plot", run], "--out", "figures"),
@@ -107,7 +107,7 @@ fn pipes_and_links_in_a_run_folder_are_refused_in_one_line() {
         ("metrics.jsonl", &[&["plot"][..], &["train", "--resume"]][..]),
         ("config.toml", &[&["plot"], &["train", "--resume"]]),
         ("learner.lock", &[&["status"], &["train", "--resume"]]),
-        ("film.png", &[&["film"]]),
+        ("film.gif", &[&["film"]]),
     ] {
         let (path, kept) = (run.join(name), run.join("kept"));
         let there = std::fs::rename(&path, &kept).is_ok();
@@ -135,7 +135,7 @@ fn a_tilde_is_the_home_folder_in_arguments_settings_and_files() {
     let mut run = tiny("train", "~/x".as_ref(), &ONE);
     assert_eq!(success(run.env("HOME", &home)).1, "");
     for arguments in [
-        &["film", "~/x", "--out=~/a.png"][..],
+        &["film", "~/x", "--out=~/a.gif"][..],
         &["status", "~/x"],
         &["task", "new", "~/robot"],
         &["task", "check", "~/robot/hopper.toml"],
@@ -143,7 +143,7 @@ fn a_tilde_is_the_home_folder_in_arguments_settings_and_files() {
     ] {
         assert_eq!(success(command(arguments).env("HOME", &home)).1, "", "{arguments:?}");
     }
-    assert!(home.join("x/manifest.json").is_file() && home.join("a.png").is_file());
+    assert!(home.join("x/manifest.json").is_file() && home.join("a.gif").is_file());
     for arguments in [&["inspect", "~nobody/x"][..], &["train", "run.dir=~nobody/x"]] {
         let line = failure(command(arguments).env("HOME", &home), 2);
         assert!(line.contains("~nobody/x: write the whole path"), "{line}");

@@ -59,7 +59,7 @@ fn every_tool_reads_the_files_of_a_run_and_an_episode_has_one_return_in_all_of_t
     };
     assert!(succeeded(&["eval", run, "--episodes", "3"]).contains(&shown(2)));
     let (mcap, onnx) = (folder.join("episode.mcap"), folder.join("onnx"));
-    let filmed = succeeded(&["film", run, "--episode", "2", "--frames", "5"]);
+    let filmed = succeeded(&["film", run, "--still", "--episode", "2", "--frames", "5"]);
     for (told, indices) in [
         (&succeeded(&["record", run, "--episodes", "3"]), 0..3),
         (&succeeded(&["record", run, "--episode", "2", "--out", text(&mcap)]), 2..3),
@@ -77,8 +77,8 @@ fn every_tool_reads_the_files_of_a_run_and_an_episode_has_one_return_in_all_of_t
     );
     let film = std::fs::read(folder.join("film.png")).unwrap();
     assert!(film.starts_with(b"\x89PNG"));
-    // Four frames of 400 pixels side by side, two rows of 270 with their times, six agents below.
-    assert_eq!(film[16..24], [1660_u32.to_be_bytes(), 634_u32.to_be_bytes()].concat());
+    // Four frames of 480 pixels side by side, two rows of 270 with their times, six agents below.
+    assert_eq!(film[16..24], [1980_u32.to_be_bytes(), 634_u32.to_be_bytes()].concat());
     succeeded(&["plot", run]);
     assert!(std::fs::read(folder.join("learning_curve.png")).unwrap().starts_with(b"\x89PNG"));
     assert!(std::fs::read_to_string(folder.join("learning_curve.svg")).unwrap().contains("seed 7"));

@@ -24,9 +24,10 @@ const LEARNER_LAYERS: [&str; 5] = ["serve", "train", "lease", "observe", "store"
 const ROOT: &str = "s2mia";
 
 /// Outside crates that shape whatever uses them, and the only crates that may.
-const HEAVY: [(&str, &[&str]); 33] = [
+const HEAVY: [(&str, &[&str]); 34] = [
     ("anyhow", &[ROOT]),
     ("clap", &[ROOT]),
+    ("gif", &[ROOT]),
     ("indicatif", &[ROOT]),
     ("kuva", &[ROOT]),
     ("mimalloc", &[ROOT]),

@@ -1,4 +1,4 @@
-"""Rewrites the hashes of settings in the records `docs/*.csv` after a change of the settings' keys or defaults.
+"""Rewrites the hashes of settings in `docs/*.csv` and `pretrained/teams.toml` after a change of the settings' keys or defaults.
 
     python3 tests/tools/rehash_records.py BEFORE AFTER
 
@@ -100,6 +100,18 @@ def rewrite(path: pathlib.Path, renewed: dict[tuple, str]) -> None:
     print(f"{path.name}: {counts}")
 
 
+def rewrite_teams(before: str, after: str) -> None:
+    """Rewrites the hashes of the trained teams' settings."""
+    path = ROOT / "pretrained/teams.toml"
+    text = path.read_text()
+    for task, team in tomllib.loads(text).items():
+        settings = [task, f"run.seed={team['seed']}"]
+        old, new = resolved(before, settings), resolved(after, settings)
+        if old and new:
+            text = text.replace(old["config_sha256"], new["config_sha256"])
+    path.write_text(text)
+
+
 def main() -> None:
     before, after = sys.argv[1:]
     records: dict[pathlib.Path, dict[tuple, str]] = {}
@@ -111,6 +123,7 @@ def main() -> None:
             records.setdefault(ROOT / record, {}).update(pairs)
     for path, renewed in sorted(records.items()):
         rewrite(path, renewed)
+    rewrite_teams(before, after)
 
 
 if __name__ == "__main__":

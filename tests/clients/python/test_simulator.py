@@ -108,7 +108,7 @@ def test_pictures_show_how_the_robot_moves():
     env = s2mia.parallel_env("halfcheetah-2x3", render_mode="rgb_array")
     env.reset()
     before = env.render()
-    assert before.dtype == np.uint8 and before.shape == (270, 400, 3)
+    assert before.dtype == np.uint8 and before.shape == (270, 480, 3)
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 5
     for _ in range(5):
         env.step(dict.fromkeys(env.agents, np.ones(3, np.float32)))
@@ -200,4 +200,4 @@ def test_the_documented_examples_run(capsys):
     exec(vector, {})
     assert "observations: (64, 2, 19) states: (64, 17) rewards: (64,)" in capsys.readouterr().out
     exec(one, {})
-    assert capsys.readouterr().out == "the same bits: True picture: (270, 400, 3)\n"
+    assert capsys.readouterr().out == "the same bits: True picture: (270, 480, 3)\n"

@@ -1,0 +1,137 @@
+//! The trained teams that come with the program, one per task. A command takes the name of the task in place of a run.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use anyhow::Context as _;
+use policy::PolicySnapshot;
+use policy::arrays::hex;
+use proto::{Digest, PolicyVersion, WeightsName};
+use serde::Deserialize;
+use sim::spelling::nearest;
+
+use crate::config::run_config::RunConfig;
+use crate::errors::Usage;
+use crate::run::stored::Trained;
+
+/// Where a team comes from: a run of its task with the default settings.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TeamRecord {
+    /// Seed of the run.
+    pub seed: u64,
+    /// Iterations of the run.
+    pub iteration: u64,
+    /// Environment steps of the run.
+    pub env_steps: u64,
+    /// Mean return of the ten episodes of the run's last evaluation.
+    pub return_mean: f64,
+    /// Standard deviation of these ten returns.
+    pub return_standard_deviation: f64,
+    /// Return of the first of these episodes.
+    pub first_return: f64,
+    /// Hash of the run's semantic settings, hexadecimal.
+    pub settings_sha256: String,
+    /// Hash of the run's final weights, critics included, hexadecimal.
+    pub weights_sha256: String,
+    /// Hash of the team's file, hexadecimal.
+    pub policy_sha256: String,
+    /// Commit of the program that trained it.
+    pub commit: String,
+}
+
+macro_rules! teams {
+    ($($task:literal),+ $(,)?) => {
+        &[$(($task, include_bytes!(concat!("../../pretrained/", $task, ".safetensors")).as_slice())),+]
+    };
+}
+
+/// Task and policies of each team, as actors get them.
+const TEAMS: &[(&str, &[u8])] = teams!(
+    "halfcheetah-pushed-2x3",
+    "walker2d-pushed-2x3",
+    "ant-pushed-4x2",
+    "quadruped-4x3",
+    "carry-light-2x2",
+    "carry-heavy-2x2",
+);
+
+/// The record of each team by its task.
+static RECORDS: LazyLock<BTreeMap<String, TeamRecord>> = LazyLock::new(|| {
+    let text = include_str!("../../pretrained/teams.toml");
+    toml::from_str(text).expect("a test shows that the file has a record for each team")
+});
+
+/// The record of the team for a task; `None` if the program has no team for it.
+#[must_use]
+pub fn team_record(task: &str) -> Option<&'static TeamRecord> {
+    RECORDS.get(task)
+}
+
+/// The team that a command's argument names; `None` if it is the path of something, or like the name of no task.
+///
+/// # Errors
+/// The program has no team for the task, or the name is that of a team with typing errors.
+pub(crate) fn named(run: &Path) -> anyhow::Result<Option<Trained>> {
+    let Some(name) = run.to_str().filter(|_| !run.exists()) else { return Ok(None) };
+    let tasks = TEAMS.iter().map(|(task, _)| *task);
+    if let Some((task, bytes)) = TEAMS.iter().find(|(task, _)| *task == name) {
+        return trained(task, bytes).map(Some);
+    }
+    let why = match (sim::task_names().contains(&name), nearest(name, tasks)) {
+        (true, _) => format!(
+            "the program has no trained team for {name}; train one with `s2mia train {name}` and name its folder"
+        ),
+        (false, Some(task)) => format!(
+            "{name} is neither a folder nor a task with a trained team; did you mean `{task}`?"
+        ),
+        (false, None) => return Ok(None),
+    };
+    Err(Usage::new(why).into())
+}
+
+fn trained(task: &str, bytes: &[u8]) -> anyhow::Result<Trained> {
+    let TeamRecord { seed, iteration, env_steps, .. } = RECORDS[task];
+    let config = RunConfig::with(&[task, &format!("run.seed={seed}")])?;
+    let policy = PolicySnapshot::from_bytes(bytes).context("cannot read the team's policies")?;
+    let weights = WeightsName { version: PolicyVersion(iteration), digest: Digest::of(bytes) };
+    let config_sha256 = hex(&config.resolved.sha256());
+    Ok(Trained { config, iteration, env_steps, policy, weights, config_sha256 })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use proto::ActionChoice;
+
+    use super::*;
+    use crate::run::offered::RunEnvironment;
+    use crate::run::stored;
+
+    #[test]
+    fn every_file_is_in_the_program_and_has_a_record() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pretrained");
+        let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let files = paths.filter(|path| path.extension().unwrap() == "safetensors");
+        let files = files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned());
+        let inside: BTreeSet<String> = TEAMS.iter().map(|(task, _)| (*task).to_owned()).collect();
+        assert_eq!(files.collect::<BTreeSet<_>>(), inside);
+        assert_eq!(RECORDS.keys().cloned().collect::<BTreeSet<_>>(), inside);
+    }
+
+    #[test]
+    fn every_team_has_the_settings_the_weights_and_the_return_of_its_record() {
+        for (task, record) in &*RECORDS {
+            let trained = stored::trained(Path::new(task)).unwrap();
+            assert_eq!(trained.config_sha256, record.settings_sha256, "{task}");
+            assert_eq!(trained.weights.digest.to_string(), record.policy_sha256, "{task}");
+            let mut hosted = RunEnvironment::of(&trained.config).unwrap();
+            let start = (trained.episode(0).key(), ActionChoice::Mean);
+            let world = hosted.environment.as_mut();
+            let played = rollout::play_episode(world, &trained.policy, start, |_| {}).unwrap();
+            assert_eq!(played.extrinsic_return, record.first_return, "{task}");
+        }
+    }
+}
