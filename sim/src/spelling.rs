@@ -24,7 +24,7 @@ pub fn nearest_by<'a>(
 }
 
 /// Most names that a message lists.
-const MOST_NAMED: usize = 12;
+const MOST_NAMED: usize = 40;
 
 /// What to write in place of an unknown name: the nearest candidate, or one of all.
 pub(crate) fn choice<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
@@ -68,8 +68,8 @@ mod tests {
         assert_eq!(choice("kne", ["hip", "knee"]), "did you mean `knee`?");
         assert_eq!(choice("ankle", ["knee", "", "hip", "hip"]), "there are hip, knee");
         assert_eq!(choice("ankle", [""]), "there is none");
-        let many: Vec<String> = (10..25).map(|number| format!("j{number}")).collect();
+        let many: Vec<String> = (10..53).map(|number| format!("j{number}")).collect();
         let text = choice("ankle", many.iter().map(String::as_str));
-        assert!(text.starts_with("there are j10, j11, ") && text.ends_with(", j21 and 3 more"));
+        assert!(text.starts_with("there are j10, j11, ") && text.ends_with(", j49 and 3 more"));
     }
 }

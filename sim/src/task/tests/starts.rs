@@ -55,7 +55,7 @@ fn an_episode_starts_from_a_keyframe_in_the_models_own_coordinates() {
     };
     let short = "<key name=\"home\" qpos=\"0 0\"/>";
     let lost = wrong("hom", short).unwrap_err();
-    assert!(lost.contains("no keyframe `hom`; did you mean `home`?; it has home"), "{lost}");
+    assert!(lost.contains("no keyframe `hom`; did you mean `home`?"), "{lost}");
     let short = wrong("home", short).unwrap_err();
     assert!(short.contains("`qpos` has 2 numbers, the robot has 5"), "{short}");
     let fast = wrong("home", "<key name=\"home\" qvel=\"0 0 0 0 1000\"/>").unwrap_err();
@@ -115,7 +115,7 @@ fn an_episode_ends_when_a_feature_or_the_tilt_leaves_its_range() {
     ));
     assert!(both.contains("either a `coordinate` or a `feature`"), "{both}");
     let lost = refusal(&changed("coordinate = \"rootz\"", "feature = \"rootz.velociti\""));
-    assert!(lost.contains("did you mean `rootz.velocity`?; it has rootz.position, "), "{lost}");
+    assert!(lost.contains("did you mean `rootz.velocity`?"), "{lost}");
 }
 
 /// Warnings about the example with a changed model and other coordinates of its start.
