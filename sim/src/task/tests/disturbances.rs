@@ -5,30 +5,11 @@ use crate::environment_batch::Disturbances;
 use crate::error::{SimError, StateError};
 
 /// Everything that can be drawn.
-const EVERYTHING: &str = r#"
-[command]
-forward = [-1.0, 1.0]
-
-[disturbance]
-slope = [0.0, 0.1]
-friction = [0.5, 1.5]
-motor_strength = [0.8, 1.2]
-joint_damping = [0.5, 2.0]
-action_delay = [1, 3]
-observation_delay = [1, 3]
-sensor_noise = { positions = { normal = 0.01 }, velocities = { uniform = 0.1 } }
-sensor_bias = { positions = { uniform = 0.02 } }
-
-[[disturbance.push]]
-link = "torso"
-force = [20.0, 50.0]
-duration_secs = 0.1
-period_secs = 0.4
-
-[[disturbance.payload]]
-link = "thigh"
-mass = [0.5, 1.0]
-"#;
+const EVERYTHING: &str = concat!(
+    "[command]\nforward = [-1.0, 1.0]\n[disturbance]\n",
+    include_str!("disturbance.toml"),
+    "[[disturbance.payload]]\nlink = \"thigh\"\nmass = [0.5, 1.0]\n",
+);
 
 /// The example with these lines at its end.
 fn with(lines: &str) -> Box<dyn EnvironmentBatch> {

@@ -3,7 +3,8 @@
 use super::*;
 
 /// A task file with every key, for a robot with a free joint and a wall.
-const EVERYTHING: &str = r#"
+const EVERYTHING: &str = concat!(
+    r#"
 robot = "hostile"
 model = "ant.xml"
 frame_skip = 2
@@ -93,22 +94,10 @@ sideways = [0.0, 0.0]
 yaw = [-0.5, 0.5]
 
 [disturbance]
-slope = [0.0, 0.1]
-friction = [0.5, 1.5]
-motor_strength = [0.8, 1.2]
-joint_damping = [0.5, 2.0]
-action_delay = [1, 3]
-observation_delay = [1, 3]
-sensor_noise = { positions = { normal = 0.01 }, velocities = { uniform = 0.1 } }
-sensor_bias = { positions = { uniform = 0.02 } }
 in_evaluations = true
-
-[[disturbance.push]]
-link = "torso"
-force = [20.0, 50.0]
-duration_secs = 0.1
-period_secs = 0.4
-axes = ["x", "y"]
+"#,
+    include_str!("disturbance.toml"),
+    r#"axes = ["x", "y"]
 
 [[disturbance.payload]]
 link = "torso"
@@ -129,7 +118,8 @@ margin = 0.001
 self_contacts = false
 limits = { time_constant_secs = 0.02, impedance = [0.9, 0.95], width = 0.001 }
 contacts = { time_constant_secs = 0.02, impedance = [0.9, 0.95], width = 0.001 }
-"#;
+"#,
+);
 
 fn environments_of(file: &str) -> Result<Box<dyn EnvironmentBatch>, String> {
     let mut config = config(file, ObservationMode::FullId);
