@@ -1,27 +1,17 @@
 //! An MJCF document as a tree of elements with their lines. Included files are inlined and default classes applied.
 
-mod bounds;
+pub(super) mod bounds;
 mod classes;
+mod laws;
+mod parsing;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::rc::Rc;
 
-use roxmltree::{Document, Node, ParsingOptions};
-
-use super::folder::Folder;
-use super::nesting::deepest;
 use crate::spelling;
 
 pub(in crate::robot) use classes::Classes;
-
-/// Most elements inside each other, those of included files counted where they are included.
-const DEEPEST_ELEMENT: usize = 200;
-/// Nesting depth of included files.
-const DEEPEST_INCLUDE: usize = 8;
-const ROOT_END: &str = "</mujoco>";
-/// Most nodes of a file: elements, comments and texts between them.
-const MOST_NODES: u32 = 200_000;
 
 /// An element with its attributes, without text.
 #[derive(Clone, Debug)]
@@ -36,7 +26,7 @@ pub(super) struct Element {
 }
 
 /// Start of an element in the document.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 struct Place {
     /// Included file that the element is in; `None` for the document itself.
     file: Option<Rc<str>>,
@@ -53,19 +43,6 @@ impl fmt::Display for Place {
 }
 
 impl Element {
-    /// Parses a document and all files that it includes.
-    pub(super) fn parse(text: &str, folder: &mut Folder<'_>) -> Result<Self, String> {
-        let document = parsed(text)?;
-        let root = document.root_element();
-        if root.tag_name().name() != "mujoco" {
-            return Err(format!(
-                "the document is <{}>, not <mujoco>; name an MJCF file",
-                root.tag_name().name()
-            ));
-        }
-        read(root, &Source::of(text, None), folder, Depth { elements: 1, includes: 0 })
-    }
-
     /// Error message for this element.
     pub(super) fn refuse(&self, reason: impl fmt::Display) -> String {
         format!("{}: {reason}", self.shown())
@@ -115,13 +92,20 @@ impl Element {
         merged
     }
 
-    /// Replaces attributes by those of `top`. An orientation replaces any other.
+    /// Replaces attributes by those of `top`, as MuJoCo does: an orientation replaces any other, an empty attribute none,
+    /// and numbers that are not stated remain.
     fn overlay(&mut self, top: &Self) {
         if ORIENTATIONS.iter().any(|name| top.attributes.contains_key(*name)) {
             ORIENTATIONS.iter().for_each(|name| drop(self.attributes.remove(*name)));
         }
         for (name, value) in &top.attributes {
-            self.attributes.insert(name.clone(), value.clone());
+            let old = self.attributes.get(name).map_or("", String::as_str);
+            let value = match PADDED.contains(&name.as_str()) {
+                true => filled(value, old),
+                false if value.trim().is_empty() && !old.is_empty() => continue,
+                false => value.clone(),
+            };
+            self.attributes.insert(name.clone(), value);
             match top.stated.get(name).or(top.place.as_ref()) {
                 Some(place) => self.stated.insert(name.clone(), place.clone()),
                 None => self.stated.remove(name),
@@ -166,12 +150,17 @@ impl Element {
         Err(self.refuse_for(first, reason))
     }
 
+    /// An attribute as text; `None` if it is empty.
+    fn stated_text(&self, name: &str) -> Option<&str> {
+        self.text(name).filter(|text| !text.trim().is_empty())
+    }
+
     /// Numbers of an attribute within its bounds, at least one.
     pub(super) fn list(&self, name: &str) -> Result<Option<Vec<f64>>, String> {
-        let Some(text) = self.text(name) else { return Ok(None) };
+        let Some(text) = self.stated_text(name) else { return Ok(None) };
         let numbers: Result<Vec<f64>, _> = text.split_ascii_whitespace().map(str::parse).collect();
         let numbers = match numbers {
-            Ok(numbers) if !numbers.is_empty() && numbers.iter().all(|x| x.is_finite()) => numbers,
+            Ok(numbers) if numbers.iter().all(|x| x.is_finite()) => numbers,
             _ => {
                 let reason = format!("{name}=\"{}\" must be finite numbers", start(text));
                 return Err(self.refuse_for(name, reason));
@@ -215,12 +204,12 @@ impl Element {
         Ok(self.numbers::<1>(name)?.map_or(default, |[number]| number))
     }
 
-    /// An integer.
+    /// An integer of 32 bits.
     pub(super) fn integer(&self, name: &str, default: i64) -> Result<i64, String> {
-        let Some(text) = self.text(name) else { return Ok(default) };
-        let number = text.trim().parse();
-        let reason = |_| format!("{name}=\"{}\" must be a whole number", start(text));
-        number.map_err(|error| self.refuse_for(name, reason(error)))
+        let Some(text) = self.stated_text(name) else { return Ok(default) };
+        let reason = || format!("{name}=\"{}\" must be a whole number of 32 bits", start(text));
+        let number = text.trim().parse::<i32>().map(i64::from);
+        number.map_err(|_| self.refuse_for(name, reason()))
     }
 
     /// `true` or `false`; `None` without the attribute, or if it is `auto`.
@@ -237,132 +226,36 @@ impl Element {
     }
 }
 
-/// A file of a document.
-struct Source {
-    /// `None` for the document itself.
-    file: Option<Rc<str>>,
-    /// Bytes before the end of each line.
-    line_ends: Vec<usize>,
-}
-
-impl Source {
-    fn of(text: &str, file: Option<Rc<str>>) -> Self {
-        let line_ends = text.match_indices('\n').map(|(at, _)| at).collect();
-        Self { file, line_ends }
-    }
-
-    /// Number of the line with this byte.
-    fn line(&self, byte: usize) -> u32 {
-        self.line_ends.partition_point(|end| *end < byte) as u32 + 1
-    }
-}
-
-/// How many elements, and how many included files, an element is in.
-#[derive(Clone, Copy)]
-struct Depth {
-    /// With the element itself.
-    elements: usize,
-    includes: usize,
-}
-
-fn read(
-    node: Node<'_, '_>,
-    source: &Source,
-    folder: &mut Folder<'_>,
-    depth: Depth,
-) -> Result<Element, String> {
-    if depth.elements > DEEPEST_ELEMENT {
-        return Err(too_deep());
-    }
-    folder.count_element()?;
-    let mut element = Element {
-        tag: node.tag_name().name().to_owned(),
-        place: Some(Place { file: source.file.clone(), line: source.line(node.range().start) }),
-        stated: BTreeMap::new(),
-        attributes: node
-            .attributes()
-            .map(|a| (a.name().to_owned(), a.value().to_owned()))
-            .collect(),
-        children: Vec::new(),
-    };
-    check_plain(node, &element)?;
-    let inside = Depth { elements: depth.elements + 1, ..depth };
-    for child in node.children().filter(Node::is_element) {
-        let child_element = read(child, source, folder, inside)?;
-        if child_element.tag == "include" {
-            element.children.extend(included(&child_element, folder, inside)?);
-        } else {
-            element.children.push(child_element);
-        }
-    }
-    Ok(element)
-}
-
-/// Refuses prefixes, which could give an element two attributes of one name, and text with words, such as a tag without
-/// its `<`.
-fn check_plain(node: Node<'_, '_>, element: &Element) -> Result<(), String> {
-    let outside = node.parent_element().map_or(node, |parent| parent).tag_name().namespace();
-    let prefixed = node.attributes().find(|attribute| attribute.namespace().is_some());
-    if prefixed.is_some() || node.tag_name().namespace() != outside {
-        return Err(element.refuse("names with a prefix are not supported; remove it"));
-    }
-    let texts = node.children().filter_map(|child| child.text().filter(|_| child.is_text()));
-    match texts.map(str::trim).find(|text| text.contains(char::is_alphanumeric)) {
-        None => Ok(()),
-        Some(text) => {
-            let reason = "text between elements has no meaning, remove it";
-            Err(element.refuse(format!("{reason}: {}", start(text))))
-        }
-    }
-}
-
 /// The start of a text, for a message.
 fn start(text: &str) -> &str {
     text.char_indices().nth(40).map_or(text, |(end, _)| &text[..end])
 }
 
-/// Parses XML that is not nested so deeply that the parser's stack would overflow.
-fn parsed(text: &str) -> Result<Document<'_>, String> {
-    if deepest(text) > DEEPEST_ELEMENT {
-        return Err(too_deep());
-    }
-    // MuJoCo's parser ignores what follows the root, such as a second end in Unitree's files.
-    let mut text = text.trim_end();
-    while let Some(rest) = text.strip_suffix(ROOT_END).map(str::trim_end)
-        && rest.ends_with(ROOT_END)
-    {
-        text = rest;
-    }
-    let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-    let parsed = Document::parse_with_options(text, options);
-    parsed.map_err(|error| format!("it must be valid XML without a DTD: {error}"))
-}
-
-fn too_deep() -> String {
-    format!("elements are nested more than {DEEPEST_ELEMENT} deep")
-}
-
-/// Children of the root of an included file.
-fn included(
-    include: &Element,
-    folder: &mut Folder<'_>,
-    depth: Depth,
-) -> Result<Vec<Element>, String> {
-    include.only(&[&["file"]])?;
-    let name = include.text("file").ok_or_else(|| include.refuse("it has no `file`; add one"))?;
-    if depth.includes == DEEPEST_INCLUDE {
-        return Err(include.refuse(format!("files are included more than {DEEPEST_INCLUDE} deep")));
-    }
-    let (path, text) = folder.read_document(name).map_err(|error| include.refuse(error))?;
-    let document = parsed(&text).map_err(|error| include.refuse(error))?;
-    // The children of the root take the place of the include.
-    let outside = Depth { elements: depth.elements - 1, includes: depth.includes + 1 };
-    let source = Source::of(&text, Some(Rc::from(path)));
-    Ok(read(document.root_element(), &source, folder, outside)?.children)
-}
-
 /// Attributes that state an orientation. An element's own replaces that of its class.
 pub(super) const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxes", "zaxis"];
+
+/// Attributes of which an element may state the first numbers only, and its class the others.
+const PADDED: [&str; 12] = [
+    "friction",
+    "size",
+    "gear",
+    "solref",
+    "solimp",
+    "solreflimit",
+    "solimplimit",
+    "solreffriction",
+    "solimpfriction",
+    "gainprm",
+    "biasprm",
+    "dynprm",
+];
+
+/// Numbers, and those of `old` that follow them.
+fn filled(numbers: &str, old: &str) -> String {
+    let stated = numbers.split_ascii_whitespace();
+    let rest = old.split_ascii_whitespace().skip(stated.clone().count());
+    stated.chain(rest).collect::<Vec<_>>().join(" ")
+}
 
 /// Refuses a second element with the same name.
 pub(super) fn check_names<'a>(elements: impl Iterator<Item = &'a Element>) -> Result<(), String> {

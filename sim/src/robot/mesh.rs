@@ -6,14 +6,13 @@ use std::sync::Arc;
 use rapier3d::math::Vector;
 use rapier3d::parry::transformation::try_convex_hull;
 
+use super::document::bounds;
 use super::frame::{cross, dot};
 use super::inertia::{Matrix, Solid};
 use crate::scene::Hull;
 
 const STL_HEADER_BYTES: usize = 84;
 const STL_TRIANGLE_BYTES: usize = 50;
-/// Largest coordinate of a scaled mesh, m: products of larger ones overflow.
-const FARTHEST: f64 = 1e4;
 
 /// A closed surface of triangles.
 #[derive(Clone, Debug)]
@@ -85,10 +84,9 @@ impl Mesh {
 
     /// The convex hull.
     pub(super) fn hull(&self) -> Result<Hull, String> {
-        if let Some(far) = self.points.iter().flatten().find(|x| x.is_nan() || x.abs() > FARTHEST) {
-            return Err(format!(
-                "a coordinate is {far:e} m, at most {FARTHEST} m are allowed; check its `scale`, and its `vertex` or file"
-            ));
+        if let Some(why) = self.points.iter().flatten().find_map(|x| bounds::refusal("vertex", *x))
+        {
+            return Err(format!("a coordinate {why}; check its `scale`, and its `vertex` or file"));
         }
         let unique: BTreeSet<[u32; 3]> =
             self.points.iter().map(|point| point.map(|x| (x as f32 + 0.0).to_bits())).collect();

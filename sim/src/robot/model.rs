@@ -29,12 +29,15 @@ use geoms::Geom;
 pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, String> {
     let root = Element::parse(mjcf, folder)?;
     let (mut context, mut left_out) = Context::read(&root)?;
-    let mut bodies = bodies::flat(&root, &context)?;
-    let grounds = bodies::take_grounds(&mut bodies, &mut context, folder);
-    let mut links = links::read(&bodies, &mut context, folder)?;
-    if context.blockers.is_empty() {
-        links.masses_to_links(context.options.total_mass)?;
+    for model in root.all("asset").flat_map(|section| section.all("model")) {
+        let read = model.text("file").map(|name| folder.read_document(name));
+        let read = read.unwrap_or_else(|| Err("it has no `file`; add one".to_owned()));
+        context.blockers.keep(read.map_err(|reason| model.refuse(reason)));
     }
+    let mut bodies = bodies::flat(&root, &context);
+    let grounds = bodies::take_grounds(&mut bodies, &mut context, folder);
+    let mut links = links::read(&bodies, &mut context, folder);
+    links.masses_to_links(&context);
     let tendons = couplings::tendons(&root, &context, &links.plans);
     let equalities = couplings::equalities(&root, &context, &links.plans, &tendons);
     let connections = couplings::connections(&root, &context, &bodies, &links);

@@ -4,6 +4,7 @@
 mod accepted;
 mod conditions;
 mod contacts;
+mod defaults;
 mod hostile;
 mod loaded;
 mod one_document;

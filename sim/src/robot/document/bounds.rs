@@ -19,13 +19,14 @@ const fn row(attributes: &'static [&'static str], [low, high]: [f64; 2]) -> Boun
     Bounds { attributes, low, high, smallest: 0.0, unit: "" }
 }
 
-const ALL: [Bounds; 22] = [
+const ALL: [Bounds; 23] = [
     Bounds { unit: " s", ..row(&["timestep"], [1e-5, 0.1]) },
     Bounds { unit: " m/s^2", ..row(&["gravity"], [-1e4, 1e4]) },
     Bounds { unit: " m", ..row(&["pos", "fromto", "anchor", "vertex"], [-1e4, 1e4]) },
     Bounds { unit: " m", smallest: 1e-6, ..row(&["size"], [0.0, 1e4]) },
     Bounds { unit: " m", ..row(&["margin"], [0.0, 10.0]) },
     Bounds { unit: " kg", smallest: 1e-12, ..row(&["mass"], [0.0, 1e9]) },
+    Bounds { unit: " kg", smallest: 1e-9, ..row(&["settotalmass"], [-1e9, 1e9]) },
     Bounds { unit: " kg/m^3", smallest: 1e-9, ..row(&["density"], [0.0, 1e9]) },
     Bounds { unit: " Pa s", ..row(&["viscosity"], [0.0, 1e6]) },
     Bounds { unit: " m/s", ..row(&["wind"], [-1e3, 1e3]) },
@@ -45,7 +46,7 @@ const ALL: [Bounds; 22] = [
 ];
 
 /// Why an attribute must not have a number, if it must not.
-pub(super) fn refusal(attribute: &str, number: f64) -> Option<String> {
+pub(in crate::robot) fn refusal(attribute: &str, number: f64) -> Option<String> {
     let own = ALL.iter().find(|row| row.attributes.contains(&attribute));
     let any = row(&[], [-LARGEST, LARGEST]);
     let Bounds { low, high, smallest, unit, .. } = own.unwrap_or(&any);

@@ -2,118 +2,71 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter;
+use std::rc::Rc;
 
-use super::Element;
+use super::{Element, laws};
 use crate::spelling;
 
-/// Actuators share one default, whatever their tag.
-const ACTUATORS: [&str; 5] = ["general", "motor", "position", "velocity", "damper"];
-/// Attributes of the gain and the bias, of which each kind of actuator states others. Those of a motor are fixed.
-const LAWS: [&str; 10] = [
-    "kp",
-    "kv",
-    "dampratio",
-    "timeconst",
-    "gainprm",
-    "biasprm",
-    "dynprm",
-    "dyntype",
-    "biastype",
-    "gaintype",
-];
 const MAIN: &str = "main";
 /// Most bytes of the attributes of a default, which all elements of its class have.
 const MOST_BYTES: usize = 4096;
 /// Elements with defaults.
-const DEFAULTS: [&str; 19] = [
-    "mesh",
-    "material",
-    "joint",
-    "geom",
-    "site",
-    "camera",
-    "light",
-    "pair",
-    "equality",
-    "tendon",
-    "general",
-    "motor",
-    "position",
-    "velocity",
-    "damper",
-    "intvelocity",
-    "cylinder",
-    "muscle",
-    "adhesion",
-];
+const DEFAULTS: [&str; 10] =
+    ["mesh", "material", "joint", "geom", "site", "camera", "light", "pair", "equality", "tendon"];
+/// The default of all actuators without their laws.
+const ACTUATOR: &str = "actuator";
+/// Kinds of actuators that start from the law of a default.
+const LAWS: [&str; 3] = ["general", "position", "velocity"];
 
-/// Default classes: for each tag an element with the attributes of the class and of its parents.
+/// For each tag the attributes of a class and of its parents. The laws of actuators have the tags of their kinds.
+type Defaults = BTreeMap<String, Rc<Element>>;
+
+/// Default classes by name.
 #[derive(Debug)]
-pub(in crate::robot) struct Classes(BTreeMap<String, BTreeMap<String, Element>>);
+pub(in crate::robot) struct Classes(BTreeMap<String, Defaults>);
 
 impl Classes {
-    /// Reads all `default` elements of a document.
-    pub(in crate::robot) fn new(root: &Element) -> Result<Self, String> {
-        let mut classes = Self(BTreeMap::from([(MAIN.to_owned(), BTreeMap::new())]));
+    /// Reads all `default` elements of a document, with the reasons against those that cannot be read.
+    pub(in crate::robot) fn new(root: &Element) -> (Self, Vec<String>) {
+        let mut classes = Self(BTreeMap::from([(MAIN.to_owned(), Defaults::new())]));
+        let mut reasons = Vec::new();
         for default in root.all("default") {
             let main = classes.0.remove(MAIN).unwrap_or_default();
-            classes.add(default, MAIN, main)?;
+            classes.add(default, MAIN, main, &mut reasons);
         }
         // All outermost elements describe the main class, which then has their names too.
         let main = classes.0.get(MAIN).cloned().unwrap_or_default();
-        let names: BTreeSet<&str> =
-            root.all("default").filter_map(|default| default.text("class")).collect();
-        for name in names.into_iter().filter(|name| *name != MAIN) {
+        let mut names = BTreeSet::from([MAIN]);
+        for default in root.all("default") {
+            let Some(name) = default.text("class").filter(|name| names.insert(*name)) else {
+                continue;
+            };
             if classes.0.insert(name.to_owned(), main.clone()).is_some() {
-                let mut twice =
-                    root.all("default").filter(|default| default.text("class") == Some(name));
-                let reason = format!("two defaults have the class `{name}`; rename one");
-                return Err(twice.next().map_or(reason.clone(), |default| default.refuse(reason)));
+                reasons.push(twice(default, name));
             }
         }
-        Ok(classes)
+        (classes, reasons)
     }
 
-    fn add(
-        &mut self,
-        default: &Element,
-        name: &str,
-        mut class: BTreeMap<String, Element>,
-    ) -> Result<(), String> {
-        default.only(&[&["class"]])?;
+    fn add(&mut self, default: &Element, name: &str, outside: Defaults, reasons: &mut Vec<String>) {
+        reasons.extend(default.only(&[&["class"]]).err());
+        let mut class = outside.clone();
         for child in default.children.iter().filter(|child| child.tag != "default") {
-            if !DEFAULTS.contains(&child.tag.as_str()) {
-                return Err(child.refuse("this element is not supported; remove it"));
-            }
-            let slot = slot(&child.tag);
-            let base = class.entry(slot.to_owned());
-            let merged = base.or_insert_with(|| Element::merged(slot, iter::empty()));
-            merged.overlay(child);
-            if LAWS.iter().any(|name| child.attributes.contains_key(*name)) {
-                merged.tag.clone_from(&child.tag);
-            }
-            let sizes = merged.attributes.iter().map(|(name, value)| name.len() + value.len());
-            if sizes.sum::<usize>() > MOST_BYTES {
-                let reason =
-                    format!("its attributes have more than {MOST_BYTES} bytes; shorten them");
-                return Err(child.refuse(reason));
-            }
+            reasons.extend(add_element(&mut class, &outside, child).err());
         }
         for child in default.all("default") {
-            let name =
-                child.text("class").ok_or_else(|| child.refuse("it has no `class`; add one"))?;
-            self.add(child, name, class.clone())?;
-        }
-        match self.0.insert(name.to_owned(), class) {
-            None => Ok(()),
-            Some(_) => {
-                Err(default.refuse(format!("two defaults have the class `{name}`; rename one")))
+            match child.text("class") {
+                Some(name) => self.add(child, name, class.clone(), reasons),
+                None => reasons.push(child.refuse("it has no `class`; add one")),
             }
+        }
+        if self.0.insert(name.to_owned(), class).is_some() {
+            reasons.push(twice(default, name));
         }
     }
 
     /// An element with the attributes of its class: its own `class`, else `childclass`, else the main class. It has no
-    /// children.
+    /// children. An actuator has the law of its kind as attributes of `general`.
     pub(in crate::robot) fn resolve(
         &self,
         element: &Element,
@@ -122,41 +75,87 @@ impl Classes {
         if let Some(child) = element.children.first() {
             return Err(child.refuse("this element is not supported; remove it"));
         }
-        self.resolve_as(slot(&element.tag), element, childclass)
+        self.resolve_as(&element.tag, element, childclass)
     }
 
-    /// As [`Self::resolve`], with the defaults of the elements `slot`.
+    /// As [`Self::resolve`], with the defaults of the elements `tag`.
     pub(in crate::robot) fn resolve_as(
         &self,
-        slot: &str,
+        tag: &str,
         element: &Element,
         childclass: Option<&str>,
     ) -> Result<Element, String> {
         let name = element.text("class").or(childclass).unwrap_or(MAIN);
-        let class = self.0.get(name);
-        let class = class.ok_or_else(|| {
+        let class = self.0.get(name).ok_or_else(|| {
             let hint = spelling::choice(name, self.0.keys().map(String::as_str));
             element.refuse(format!("no default has the class `{name}`; {hint}"))
         })?;
         let mut resolved = element.with(BTreeMap::new());
-        if let Some(defaults) = class.get(slot) {
-            // MuJoCo translates the default into gains, and the actuator starts from those.
-            let is_translated = defaults.tag != slot && defaults.tag != element.tag;
-            if is_translated && element.tag != "motor" {
-                let reason = format!(
-                    "the gains of its class `{name}` are those of a <{}>; give it another class and state its own",
-                    defaults.tag
-                );
-                return Err(element.refuse(reason));
-            }
+        let is_actuator = laws::KINDS.contains(&tag);
+        if let Some(defaults) = class.get(if is_actuator { ACTUATOR } else { tag }) {
             resolved.overlay(defaults);
         }
-        resolved.overlay(element);
-        element.attributes.keys().for_each(|name| drop(resolved.stated.remove(name)));
+        if is_actuator {
+            let law = laws::law(element, &law_of(class, tag))?;
+            laws::overlay(&mut resolved, element, &law);
+            resolved.overlay(&law);
+        } else {
+            resolved.overlay(element);
+        }
+        resolved.stated.retain(|_, place| Some(&*place) != element.place.as_ref());
         Ok(resolved)
     }
 }
 
-fn slot(tag: &str) -> &str {
-    if ACTUATORS.contains(&tag) { "actuator" } else { tag }
+fn twice(default: &Element, name: &str) -> String {
+    default.refuse(format!("two defaults have the class `{name}`; rename one"))
+}
+
+/// Adds an element to the defaults of a class. Those of the class around it are `outside`.
+fn add_element(class: &mut Defaults, outside: &Defaults, child: &Element) -> Result<(), String> {
+    let is_actuator = laws::KINDS.contains(&child.tag.as_str());
+    if !is_actuator && !DEFAULTS.contains(&child.tag.as_str()) {
+        return Err(child.refuse("this element is not supported; remove it"));
+    }
+    let tag = if is_actuator { ACTUATOR } else { &child.tag };
+    let mut merged = class.get(tag).map_or_else(|| empty(tag), |own| own.as_ref().clone());
+    if is_actuator {
+        let law = laws::law(child, &law_of(class, &child.tag))?;
+        laws::overlay(&mut merged, child, &law);
+        check_size(child, &law)?;
+        let law = Rc::new(law);
+        for kind in LAWS {
+            // The law of another kind leaves that of the class around this one.
+            let applies = [kind, "general"].contains(&child.tag.as_str()) || kind == "general";
+            match if applies { Some(&law) } else { outside.get(kind) } {
+                Some(law) => class.insert(kind.to_owned(), Rc::clone(law)),
+                None => class.remove(kind),
+            };
+        }
+    } else {
+        merged.overlay(child);
+    }
+    check_size(child, &merged)?;
+    class.insert(tag.to_owned(), Rc::new(merged));
+    Ok(())
+}
+
+fn check_size(child: &Element, merged: &Element) -> Result<(), String> {
+    let sizes = merged.attributes.iter().map(|(name, value)| name.len() + value.len());
+    match sizes.sum::<usize>() > MOST_BYTES {
+        false => Ok(()),
+        true => {
+            Err(child
+                .refuse(format!("its attributes have more than {MOST_BYTES} bytes; shorten them")))
+        }
+    }
+}
+
+/// The law from which an actuator of this kind starts.
+fn law_of(class: &Defaults, kind: &str) -> Rc<Element> {
+    class.get(kind).map_or_else(|| Rc::new(empty(kind)), Rc::clone)
+}
+
+fn empty(tag: &str) -> Element {
+    Element::merged(tag, iter::empty())
 }

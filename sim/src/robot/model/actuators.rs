@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use super::super::activation::{Activation, ActivationKind};
 use super::super::blueprint::{LinkPlan, MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan};
-use super::super::document::{Element, check_names};
+use super::super::document::{Element, bounds};
 use super::activations;
 use super::context::Context;
 use super::joints;
@@ -14,41 +14,8 @@ use super::links::Links;
 /// What else than a joint an actuator of MuJoCo can act on.
 const ELSEWHERE: [&str; 5] = ["site", "refsite", "body", "cranksite", "slidersite"];
 const KINDS: [&str; 4] = ["motor", "position", "velocity", "general"];
-const KNOWN: [&str; 17] = [
-    "name",
-    "class",
-    "joint",
-    "jointinparent",
-    "tendon",
-    "gear",
-    "ctrlrange",
-    "ctrllimited",
-    "forcerange",
-    "forcelimited",
-    "kp",
-    "kv",
-    "dampratio",
-    "inheritrange",
-    "group",
-    "user",
-    "timeconst",
-];
-const GENERAL: [&str; 9] = [
-    "gaintype",
-    "biastype",
-    "gainprm",
-    "biasprm",
-    "dyntype",
-    "dynprm",
-    "actlimited",
-    "actrange",
-    "actearly",
-];
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
-
-/// Largest control that a range of a joint or a force implies.
-const LARGEST_CONTROL: f64 = 1e9;
 
 /// A joint or tendon that an actuator moves.
 struct Driven {
@@ -77,14 +44,13 @@ struct Law {
 
 /// Reads all actuators.
 pub(super) fn read(root: &Element, context: &Context, parts: Parts<'_>) -> Vec<MotorPlan> {
-    let elements = || root.all("actuator").flat_map(|section| &section.children);
-    context.blockers.keep(check_names(elements()));
+    let elements = root.all("actuator").flat_map(|section| &section.children);
     let read = |element: &Element| {
         let element = context.classes.resolve(element, None)?;
         motor(&element, context, parts).map(|motor| (element, motor))
     };
     let read: Vec<(Element, MotorPlan)> =
-        elements().filter_map(|element| context.blockers.keep(read(element))).collect();
+        elements.filter_map(|element| context.blockers.keep(read(element))).collect();
     named(&read)
 }
 
@@ -117,7 +83,6 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
         );
         return Err(element.refuse_for(target, reason));
     }
-    element.only(&[&KNOWN, &GENERAL])?;
     if !KINDS.contains(&element.tag.as_str()) {
         let reason = "this actuator is not supported; use motor, position, velocity or general";
         return Err(element.refuse(reason));
@@ -223,14 +188,13 @@ fn control_range(
 ) -> Result<[f64; 2], String> {
     let inherited = element.number("inheritrange", 0.0)?;
     let of_joint = driven.range.map(|range| range.map(|end| f64::from(end) + driven.reference));
-    let stated = element.numbers::<2>("ctrlrange")?;
-    let limited = element.flag("ctrllimited")?;
+    let stated = context.range(element, ["ctrlrange", "ctrllimited"])?;
     let range = match (of_joint, stated) {
         (Some([low, high]), None) if inherited > 0.0 => {
             let (middle, half) = ((low + high) / 2.0, inherited * (high - low) / 2.0);
             Some([middle - half, middle + half])
         }
-        (_, Some(range)) if limited.unwrap_or(context.options.autolimits) => Some(range),
+        (_, Some(range)) => Some(range),
         // The sum of its controls has no such range.
         _ if activation.is_some_and(|own| own.kind == ActivationKind::Integrator) => None,
         _ => law.implied_range(driven, of_joint),
@@ -239,15 +203,11 @@ fn control_range(
         Some(range) if matches!(range.map(|end| end as f32), [low, high] if low < high) => {
             Ok(range)
         }
-        Some([low, high]) => {
-            let reason = format!("`ctrlrange` must ascend, is {low} to {high}");
+        _ if element.text("ctrlrange").is_some() => {
+            let reason = "its control must be limited: let `ctrlrange` ascend, without ctrllimited=\"false\"";
             Err(element.refuse_for("ctrlrange", reason))
         }
-        None if stated.is_some() => {
-            let reason = "its control must be limited: set ctrllimited=\"true\"";
-            Err(element.refuse_for("ctrllimited", reason))
-        }
-        None => Err(element.refuse("its control must be limited: set `ctrlrange`")),
+        _ => Err(element.refuse("its control must be limited: set `ctrlrange`")),
     }
 }
 
@@ -267,7 +227,7 @@ impl Law {
             return None;
         };
         let [a, b] = ends;
-        let fits = |end: f64| end.abs() <= LARGEST_CONTROL;
+        let fits = |end: f64| bounds::refusal("ctrlrange", end).is_none();
         (fits(a) && fits(b)).then(|| [a.min(b), a.max(b)])
     }
 
@@ -283,41 +243,8 @@ impl Law {
     }
 }
 
-fn force_range(element: &Element, context: &Context) -> Result<Option<[f32; 2]>, String> {
-    let range = element.numbers::<2>("forcerange")?;
-    let limited = element.flag("forcelimited")?.unwrap_or(context.options.autolimits);
-    match range.filter(|_| limited) {
-        Some([low, high]) if low >= high => {
-            Err(element.refuse_for("forcerange", "`forcerange` must have a lower and a higher end"))
-        }
-        range => Ok(range.map(|range| range.map(|end| end as f32))),
-    }
-}
-
+/// The law, which [`Classes`](super::super::document::Classes) state as attributes of `general`.
 fn law(element: &Element, context: &Context) -> Result<Law, String> {
-    let (gain, bias) = match element.tag.as_str() {
-        "motor" => (1.0, [0.0; 3]),
-        "position" => {
-            let kp = element.number("kp", 1.0)?;
-            let (kv, ratio) = (element.number("kv", 0.0)?, element.number("dampratio", 0.0)?);
-            if ratio > 0.0 && kv != 0.0 {
-                let reason = "`dampratio` must not be stated with `kv`; remove one";
-                return Err(element.refuse_for("dampratio", reason));
-            }
-            // As in MuJoCo, a positive slope is a damping ratio.
-            (kp, [0.0, -kp, if ratio > 0.0 { ratio } else { -kv }])
-        }
-        "velocity" => {
-            let kv = element.number("kv", 1.0)?;
-            (kv, [0.0, 0.0, -kv])
-        }
-        _ => general(element)?,
-    };
-    let range = force_range(element, context)?;
-    Ok(Law { gain, bias, range })
-}
-
-fn general(element: &Element) -> Result<(f64, [f64; 3]), String> {
     let word = |name, default| element.text(name).unwrap_or(default);
     if word("gaintype", "fixed") != "fixed" {
         return Err(element.refuse_for("gaintype", "`gaintype` must be fixed; set it"));
@@ -326,12 +253,14 @@ fn general(element: &Element) -> Result<(f64, [f64; 3]), String> {
     one[0] = 1.0;
     let gain = element.padded("gainprm", one)?[0];
     let [a, b, c, ..] = element.padded("biasprm", [0.0; MOST_PARAMETERS])?;
-    match word("biastype", "none") {
-        "none" => Ok((gain, [0.0; 3])),
-        "affine" => Ok((gain, [a, b, c])),
+    let bias = match word("biastype", "none") {
+        "none" => [0.0; 3],
+        "affine" => [a, b, c],
         kind => {
             let reason = format!("biastype=\"{kind}\" is not supported; set none or affine");
-            Err(element.refuse_for("biastype", reason))
+            return Err(element.refuse_for("biastype", reason));
         }
-    }
+    };
+    let range = context.range(element, ["forcerange", "forcelimited"])?;
+    Ok(Law { gain, bias, range: range.map(|range| range.map(|end| end as f32)) })
 }

@@ -52,25 +52,17 @@ impl Blockers {
     /// All reasons as one error, each in a line if there are several.
     pub(super) fn finish(&self) -> Result<(), String> {
         let reasons = self.0.borrow();
-        if reasons.causes.is_empty() { Ok(()) } else { Err(listed(&reasons)) }
-    }
-
-    /// All reasons and this one as an error.
-    pub(super) fn finish_with(&self, reason: String) -> String {
-        self.note(reason);
-        listed(&self.0.borrow())
-    }
-}
-
-fn listed(reasons: &Reasons) -> String {
-    if let ([reason], 1) = (reasons.shown.as_slice(), reasons.causes.len()) {
-        return reason.clone();
-    }
-    let mut text = format!("{} things are not supported", reasons.causes.len());
-    reasons.shown.iter().for_each(|reason| text += &format!("\n  {reason}"));
-    match reasons.causes.len() - reasons.shown.len() {
-        0 => text,
-        more => text + &format!("\n  and {more} more"),
+        let (shown, count) = (&reasons.shown, reasons.causes.len());
+        match shown.as_slice() {
+            [] => return Ok(()),
+            [reason] if count == 1 => return Err(reason.clone()),
+            _ => {}
+        }
+        let more = match count - shown.len() {
+            0 => String::new(),
+            more => format!("\n  and {more} more"),
+        };
+        Err(format!("{count} things are not supported\n  {}{more}", shown.join("\n  ")))
     }
 }
 

@@ -10,6 +10,7 @@ use super::context::Context;
 use super::geoms::Geom;
 use super::joints;
 use super::options::{MassSource, Options};
+use crate::error::short;
 
 /// Elements in a body that have no effect on the motion.
 const SKIPPED: [&str; 3] = ["site", "camera", "light"];
@@ -37,10 +38,12 @@ pub(super) struct Body {
     pub(super) joints: Vec<(Element, Frame)>,
     pub(super) geoms: Vec<Geom>,
     inertial: Option<(Element, Frame)>,
+    /// Whether all its parts could be read.
+    pub(super) is_whole: bool,
 }
 
 /// All bodies, parents before their children and the world first.
-pub(super) fn flat(root: &Element, context: &Context) -> Result<Vec<Body>, String> {
+pub(super) fn flat(root: &Element, context: &Context) -> Vec<Body> {
     let mut bodies = vec![new_body(root, "world".to_owned(), 0, IDENTITY)];
     for world in root.all("worldbody") {
         let childclass = world.text("childclass");
@@ -50,20 +53,15 @@ pub(super) fn flat(root: &Element, context: &Context) -> Result<Vec<Body>, Strin
         bodies[index].is_static =
             bodies[index].joints.is_empty() && bodies[bodies[index].parent].is_static;
     }
-    check_size(&bodies)?;
+    context.blockers.keep(check_size(&bodies));
     check_bodies(&bodies, context);
-    Ok(bodies)
+    bodies
 }
 
 /// Refuses a model that a step would take seconds for.
 fn check_size(bodies: &[Body]) -> Result<(), String> {
-    let joints = bodies.iter().flat_map(|body| &body.joints);
-    let velocities = |joint: &(Element, Frame)| match joint.0.text("type") {
-        _ if joints::is_free(joint) => 6,
-        Some("ball") => 3,
-        _ => 1,
-    };
-    let velocities: usize = joints.map(velocities).sum();
+    let velocities: usize =
+        bodies.iter().flat_map(|body| &body.joints).map(joints::velocities).sum();
     let shapes: usize = bodies.iter().map(|body| body.geoms.len()).sum();
     let counts = [
         ("degrees of freedom", velocities, MOST_VELOCITIES, "joints"),
@@ -88,6 +86,7 @@ fn new_body(element: &Element, name: String, parent: usize, frame: Frame) -> Bod
         joints: Vec::new(),
         geoms: Vec::new(),
         inertial: None,
+        is_whole: true,
     }
 }
 
@@ -100,7 +99,9 @@ fn fill(
     context: &Context,
 ) {
     for child in &element.children {
-        context.blockers.keep(add_part(bodies, own, child, outside, context));
+        if context.blockers.keep(add_part(bodies, own, child, outside, context)).is_none() {
+            bodies[own].is_whole = false;
+        }
     }
 }
 
@@ -201,9 +202,20 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
             return Err(element.refuse("it has both `diaginertia` and `fullinertia`; remove one"));
         }
     };
-    if solid.principal_moments().iter().any(|moment| *moment < 0.0) {
+    let mut moments = solid.principal_moments();
+    moments.sort_by(f64::total_cmp);
+    let [low, middle, high] = moments.map(|moment| moment.max(options.least[1]));
+    if moments[0] < 0.0 {
         let reason = "the principal moments of `fullinertia` must not be negative; correct it";
         return Err(element.refuse_for("fullinertia", reason));
+    }
+    // The rounding of principal axes is no reason.
+    if low + middle < high * (1.0 - 1e-12) {
+        let [low, middle, high] = [low, middle, high].map(short);
+        return Err(element.refuse(format!(
+            "of the principal moments {low}, {middle} and {high} none may exceed the sum of the others; correct them, or set \
+             all to their mean, as MuJoCo's `balanceinertia` does"
+        )));
     }
     let frame = frame.then(&options.angles.frame(element)?);
     solid = solid.turned(frame.rotation);
@@ -241,14 +253,14 @@ pub(super) fn take_grounds(
         body.geoms = kept;
         let touched = |geom: &&Geom| geom.meets(&moving);
         for geom in taken.iter().filter(|_| has_contacts).filter(touched) {
-            let ground = geom.ground((&frames[index], index), &mut *context, folder);
-            grounds.extend(context.blockers.keep(ground));
             fields += usize::from(geom.is_field());
-            if fields > MOST_FIELDS {
+            if geom.is_field() && fields > MOST_FIELDS {
                 let reason = format!("a world may have {MOST_FIELDS} height fields; remove others");
                 context.blockers.note(geom.element.refuse(reason));
-                return grounds;
+                continue;
             }
+            let ground = geom.ground((&frames[index], index), &mut *context, folder);
+            grounds.extend(context.blockers.keep(ground));
         }
     }
     grounds

@@ -36,7 +36,9 @@ pub(super) fn read(
     let shapes = shapes.map(|shape| (shape.name.as_str(), shape.surface));
     let grounds = grounds.iter().map(|ground| (ground.name.as_str(), Some(ground.surface)));
     let shapes: Vec<(&str, Option<Surface>)> = shapes.chain(grounds).collect();
-    context.blockers.keep(check_names(of(root, "pair")));
+    for tag in ["pair", "exclude"] {
+        context.blockers.keep(check_names(of(root, tag)));
+    }
     for element in of(root, "pair").filter(|_| context.options.has_contacts) {
         rules.pairs.extend(context.blockers.keep(pair(element, context, &shapes)));
     }

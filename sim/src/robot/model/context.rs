@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::super::document::{Classes, Element};
 use super::blockers::Blockers;
 use super::meshes::Meshes;
-use super::options::Options;
+use super::options::{self, Options};
 use super::{contacts, fields};
 
 /// Default classes, options and meshes of a model.
@@ -27,16 +27,44 @@ impl Context {
     /// Reads the settings, and what MuJoCo would do in addition to this simulator.
     pub(super) fn read(root: &Element) -> Result<(Self, Vec<String>), String> {
         let blockers = Blockers::default();
-        // Without these, nothing else can be read; the message has the reasons so far, too.
-        let stop = |reason| blockers.finish_with(reason);
-        let (options, left_out) = Options::read(root, &blockers).map_err(stop)?;
-        let classes = Classes::new(root).map_err(stop)?;
-        let meshes = Meshes::read(root, &classes, &options).map_err(stop)?;
+        let (options, left_out) = Options::read(root, &blockers);
+        let (classes, reasons) = Classes::new(root);
+        reasons.into_iter().for_each(|reason| blockers.note(reason));
+        // To read a larger document would take long.
+        if blockers.keep(options::check_size(root)).is_none() {
+            blockers.finish()?;
+        }
+        let meshes = Meshes::read(root, &classes, &options, &blockers);
         let paired = contacts::paired(root);
-        let fields = fields::read(root);
+        let fields = fields::read(root, &blockers);
         let mut names = BTreeSet::new();
         collect_names(root, &mut names);
         Ok((Self { classes, options, meshes, fields, paired, names, blockers }, left_out))
+    }
+
+    /// Range that an attribute states; `None` if it does not limit anything. As in MuJoCo, ends that do not ascend are no
+    /// range, unless the attribute `limited` says so.
+    pub(super) fn range(
+        &self,
+        element: &Element,
+        [name, limited]: [&str; 2],
+    ) -> Result<Option<[f64; 2]>, String> {
+        let ends = element.numbers(name)?.unwrap_or_default();
+        let ascends = matches!(ends.map(|end: f64| end as f32), [low, high] if low < high);
+        match element.flag(limited)? {
+            Some(true) if !ascends => {
+                let reason = format!(
+                    "`{name}` must have a lower and a higher end; set it, or {limited}=\"false\""
+                );
+                Err(element.refuse_for(name, reason))
+            }
+            None if !self.options.autolimits && ends != [0.0; 2] => {
+                let reason =
+                    format!("without `autolimits`, `{limited}` must be true or false; set it");
+                Err(element.refuse_for(name, reason))
+            }
+            is_limited => Ok(Some(ends).filter(|_| is_limited.unwrap_or(ascends))),
+        }
     }
 
     /// Error message for an attribute that names no `kind`; `known` are the names of all. It is empty if the document states

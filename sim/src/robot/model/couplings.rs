@@ -6,7 +6,7 @@ use super::super::blueprint::LinkPlan;
 use super::super::coupling::{
     Combination, ConnectedFrame, ConnectionPlan, Coupled, EqualityPlan, TendonPlan,
 };
-use super::super::document::{Element, check_names};
+use super::super::document::Element;
 use super::super::frame::{Frame, normalized, vector};
 use super::bodies::Body;
 use super::context::Context;
@@ -44,8 +44,7 @@ const PASSIVE: [&str; 5] = ["stiffness", "damping", "frictionloss", "range", "ar
 
 /// Reads all tendons.
 pub(super) fn tendons(root: &Element, context: &Context, links: &[LinkPlan]) -> Vec<TendonPlan> {
-    let elements = || root.all("tendon").flat_map(|section| &section.children);
-    context.blockers.keep(check_names(elements()));
+    let elements = root.all("tendon").flat_map(|section| &section.children);
     let read = |element: &Element| {
         let resolved = context.classes.resolve_as("tendon", &element.alone(), None)?;
         match element.tag.as_str() {
@@ -58,7 +57,7 @@ pub(super) fn tendons(root: &Element, context: &Context, links: &[LinkPlan]) -> 
             }
         }
     };
-    elements().filter_map(|element| context.blockers.keep(read(element)).flatten()).collect()
+    elements.filter_map(|element| context.blockers.keep(read(element)).flatten()).collect()
 }
 
 fn fixed(
@@ -93,13 +92,8 @@ fn fixed(
         return Err(tendon.refuse("it moves no joint; add a <joint> to it"));
     }
     let length = |end: f64| (end - reference) as f32;
-    let limited = tendon.flag("limited")?;
-    let limited = limited.unwrap_or(context.options.autolimits && tendon.text("range").is_some())
-        && context.options.has_limits;
-    let range = tendon.numbers::<2>("range")?.filter(|_| limited).map(|ends| ends.map(length));
-    if limited && range.is_none_or(|[low, high]| low >= high) {
-        return Err(tendon.refuse_for("range", "`range` must have a lower and a higher end"));
-    }
+    let range = context.range(tendon, ["range", "limited"])?;
+    let range = range.filter(|_| context.options.has_limits).map(|ends| ends.map(length));
     let number = |name: &str| joints::number(tendon, name);
     let slack = spring_length(tendon)?.map(|ends| ends.map(length));
     Ok(TendonPlan {

@@ -6,14 +6,19 @@ use super::super::blueprint::HeightField;
 use super::super::document::Element;
 use super::super::folder::Folder;
 use super::super::heights::{self, MOST_HEIGHTS};
-use super::meshes::{Files, asset_name};
+use super::blockers::Blockers;
+use super::meshes::{Files, insert};
 
 const KNOWN: [&str; 7] = ["name", "file", "content_type", "nrow", "ncol", "size", "elevation"];
 
 /// The height fields of a document, by name.
-pub(super) fn read(root: &Element) -> BTreeMap<String, Element> {
-    let fields = root.all("asset").flat_map(|section| section.all("hfield"));
-    fields.map(|field| (asset_name(field), field.clone())).collect()
+pub(super) fn read(root: &Element, blockers: &Blockers) -> BTreeMap<String, Element> {
+    let mut fields = BTreeMap::new();
+    for field in root.all("asset").flat_map(|section| section.all("hfield")) {
+        blockers.keep(field.only(&[&KNOWN]));
+        blockers.keep(insert(&mut fields, field, field.clone()));
+    }
+    fields
 }
 
 /// The height field that a shape names.
@@ -26,7 +31,6 @@ pub(super) fn field(
     let asset = fields.get(name);
     let known = || fields.keys().map(String::as_str);
     let asset = asset.ok_or_else(|| geom.refuse_name("hfield", "height field", known()))?;
-    asset.only(&[&KNOWN])?;
     let (columns, stated) = match files.read(asset, folder)? {
         Some((path, bytes)) => {
             heights::read(&path, &bytes).map_err(|reason| asset.refuse(reason))?
@@ -35,8 +39,8 @@ pub(super) fn field(
     };
     let size = asset.numbers::<4>("size")?;
     let [x, y, top, _] = size.ok_or_else(|| asset.refuse("`size` must have 4 numbers"))?;
-    if [x, y, top].iter().any(|size| !(1e-6..=1e4).contains(size)) {
-        return Err(asset.refuse("`size` must be positive and at most 1e4 m"));
+    if [x, y, top].contains(&0.0) {
+        return Err(asset.refuse("`size` must be positive"));
     }
     let low = stated.iter().copied().fold(f64::INFINITY, f64::min);
     let high = stated.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -58,6 +62,8 @@ fn stated(asset: &Element) -> Result<(usize, Vec<f64>), String> {
         return Err(asset.refuse(format!("it must have at most {MOST_HEIGHTS} heights")));
     }
     let stated = asset.list("elevation")?.unwrap_or_else(|| vec![0.0; rows * columns]);
+    // As in MuJoCo, in single precision.
+    let stated: Vec<f64> = stated.into_iter().map(|height| f64::from(height as f32)).collect();
     if stated.len() != rows * columns {
         let why = format!("`elevation` must have {} numbers, has {}", rows * columns, stated.len());
         return Err(asset.refuse(why));

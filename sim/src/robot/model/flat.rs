@@ -54,7 +54,7 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
     let mut root = Element::parse(mjcf, folder)?;
     let (mut context, _) = Context::read(&root)?;
     let mut hulls = Hulls::new();
-    let bodies = bodies::flat(&root, &context)?;
+    let bodies = bodies::flat(&root, &context);
     let mut rests = Vec::new();
     for (index, body) in bodies.iter().enumerate() {
         let shapes = kept_shapes(body, &mut context, folder, &mut hulls)?;
@@ -204,6 +204,7 @@ fn assets(
 fn state_heights(asset: &mut Element, path: &str, bytes: &[u8]) -> Result<(), String> {
     let read = heights::read(path, bytes);
     let (columns, heights) = read.map_err(|reason| asset.refuse(reason))?;
+    let heights: Vec<f32> = heights.into_iter().map(|height| height as f32).collect();
     let attributes = [
         ("name", asset_name(asset)),
         ("nrow", (heights.len() / columns).to_string()),

@@ -4,7 +4,7 @@ use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::SharedShape;
 
 use super::super::blueprint::{GroundForm, GroundPlan};
-use super::super::document::{Element, ORIENTATIONS};
+use super::super::document::{Element, ORIENTATIONS, bounds};
 use super::super::folder::Folder;
 use super::super::frame::{Frame, IDENTITY, vector};
 use super::super::inertia::Solid;
@@ -19,8 +19,6 @@ const KNOWN: [&str; 10] =
 /// Attributes without effect on the motion of most shapes.
 const SKIPPED: [&str; 9] =
     ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale", "gap"];
-/// Largest size of a shape that is fitted to a mesh, m.
-const LARGEST_SIZE: f64 = 1e4;
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 
@@ -182,7 +180,8 @@ impl Geom {
         };
         let scale = element.number("fitscale", 1.0)?;
         let size = size.map(|length| (scale * length) as f32);
-        if !(size[0] > 0.0 && size.iter().all(|length| f64::from(*length) <= LARGEST_SIZE)) {
+        let fits = |length: &f32| bounds::refusal("size", f64::from(*length)).is_none();
+        if !(size[0] > 0.0 && size.iter().all(fits)) {
             return Err(
                 element.refuse("its mesh is flat or its `fitscale` too large; state its `size`")
             );

@@ -57,10 +57,20 @@ pub(super) fn is_free((joint, _): &(Element, Frame)) -> bool {
     joint.tag == "freejoint" || joint.text("type") == Some("free")
 }
 
-/// Reads the joints of a child of the world, the outermost first.
+/// Number of velocities of a joint.
+pub(super) fn velocities(joint: &(Element, Frame)) -> usize {
+    match joint.0.text("type") {
+        _ if is_free(joint) => 6,
+        Some("ball") => 3,
+        _ => 1,
+    }
+}
+
+/// Reads the joints of the root of a tree, the outermost first.
 pub(super) fn read_root(body: &Body, context: &Context) -> Vec<JointPlan> {
     if let [joint] = body.joints.as_slice()
         && is_free(joint)
+        && body.parent == 0
     {
         let free = context.blockers.keep(free(&joint.0, body, context));
         return free.into_iter().map(JointPlan::Free).collect();
@@ -73,6 +83,7 @@ pub(super) fn read_root(body: &Body, context: &Context) -> Vec<JointPlan> {
 
 /// Reads the joints of any other body, the outermost first.
 pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
+    context.blockers.keep(check_order(body));
     let read = |(index, joint): (usize, &(Element, Frame))| {
         if is_free(joint) {
             let reason = "a free joint must be the only joint of a child of the world; remove it";
@@ -91,6 +102,20 @@ pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
     };
     let joints = body.joints.iter().enumerate();
     joints.filter_map(|joint| context.blockers.keep(read(joint))).collect()
+}
+
+fn check_order(body: &Body) -> Result<(), String> {
+    let is_ball = |joint: &(Element, Frame)| joint.0.text("type") == Some("ball");
+    let after = body.joints.iter().skip_while(|joint| !is_ball(joint)).skip(1);
+    if after.into_iter().any(|(joint, _)| joint.text("type") != Some("slide")) {
+        return Err(body.element.refuse("no hinge or ball may follow a ball joint; add a body"));
+    }
+    match body.joints.iter().map(velocities).sum::<usize>() {
+        0..=6 => Ok(()),
+        count => Err(body.element.refuse(format!(
+            "its joints have {count} degrees of freedom, at most 6 are allowed; add a body"
+        ))),
+    }
 }
 
 fn check(joint: &Element) -> Result<(), String> {
@@ -182,7 +207,8 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         Motion::Translation => number,
     };
     let reference = angle(joint.number("ref", 0.0)?);
-    let axis = joint.numbers("axis")?.unwrap_or([0.0, 0.0, 1.0]);
+    let axis = joint.numbers("axis")?.filter(|_| motion != Motion::Ball);
+    let axis = axis.unwrap_or([0.0, 0.0, 1.0]);
     if dot(axis, axis) < SHORTEST_AXIS * SHORTEST_AXIS {
         return Err(joint.refuse_for("axis", "`axis` has no direction; set one, such as 0 0 1"));
     }
@@ -194,22 +220,16 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
             rotated(frame.rotation, axis),
         ),
     };
-    let stated = joint.numbers::<2>("range")?;
-    let limited = joint.flag("limited")?;
-    let limited = limited.unwrap_or(context.options.autolimits && stated.is_some())
-        && context.options.has_limits;
-    let range =
-        stated.filter(|_| limited).map(|range| range.map(|end| (angle(end) - reference) as f32));
-    if limited && range.is_none_or(|[low, high]| low >= high) {
-        let reason = "`range` must have a lower and a higher end; set it, or limited=\"false\"";
-        return Err(joint.refuse_for("range", reason));
-    }
-    let margin = if limited { number(joint, "margin")? } else { 0.0 };
+    let range = context.range(joint, ["range", "limited"])?;
+    let range = range.filter(|_| context.options.has_limits);
+    let range = range.map(|range| range.map(|end| (angle(end) - reference) as f32));
+    let margin = if range.is_some() { number(joint, "margin")? } else { 0.0 };
     if range.is_some_and(|[low, high]| 2.0 * margin >= high - low) {
         let reason = "`margin` must be less than half the `range`; lower it";
         return Err(joint.refuse_for("margin", reason));
     }
     let friction = number(joint, "frictionloss")?;
+    let torque_range = context.range(joint, ["actuatorfrcrange", "actuatorfrclimited"])?;
     Ok(Hinge {
         name,
         anchor: vector(anchor),
@@ -226,7 +246,7 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         armature: number(joint, "armature")?,
         friction: if context.options.has_friction { friction } else { 0.0 },
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
-        torque_range: torque_range(joint)?,
+        torque_range: torque_range.map(|ends| ends.map(|end| end as f32)),
     })
 }
 
@@ -251,19 +271,5 @@ fn spring_damper(joint: &Element) -> Result<Option<[f32; 2]>, String> {
             let reason = "`springdamper` must be a positive time constant and damping ratio";
             Err(joint.refuse_for("springdamper", reason))
         }
-    }
-}
-
-fn torque_range(joint: &Element) -> Result<Option<[f32; 2]>, String> {
-    let range = joint.numbers::<2>("actuatorfrcrange")?;
-    if joint.flag("actuatorfrclimited")? == Some(false) {
-        return Ok(None);
-    }
-    match range {
-        Some([low, high]) if low > high => {
-            let reason = "`actuatorfrcrange` must have a lower and a higher end";
-            Err(joint.refuse_for("actuatorfrcrange", reason))
-        }
-        range => Ok(range.map(|range| range.map(|end| end as f32))),
     }
 }

@@ -26,6 +26,8 @@ const MOMENTS: RangeInclusive<f32> = 1e-15..=1e15;
 pub(super) struct Links<'a> {
     pub(super) plans: Vec<LinkPlan>,
     masses: Vec<MassSum>,
+    /// Whether all parts of each link could be read.
+    is_whole: Vec<bool>,
     /// The carried share of each link's weight; none before the first body with a mass.
     carried: Vec<Option<f64>>,
     /// The body of each link; none for the base.
@@ -44,10 +46,11 @@ pub(super) fn read<'a>(
     bodies: &'a [Body],
     context: &mut Context,
     folder: &mut Folder<'_>,
-) -> Result<Links<'a>, String> {
+) -> Links<'a> {
     let mut links = Links {
         plans: Vec::new(),
         masses: Vec::new(),
+        is_whole: Vec::new(),
         carried: Vec::new(),
         bodies: Vec::new(),
         homes: Vec::new(),
@@ -68,10 +71,11 @@ pub(super) fn read<'a>(
         }
         links.homes.push(home);
     }
-    if context.blockers.is_empty() && links.plans.iter().all(LinkPlan::is_base) {
-        return Err("the model has no joints; a robot needs a body with a joint".to_owned());
+    if bodies.iter().all(|body| body.is_whole && body.joints.is_empty()) {
+        let reason = "the model has no joints; a robot needs a body with a joint";
+        context.blockers.note(reason.to_owned());
     }
-    Ok(links)
+    links
 }
 
 impl<'a> Links<'a> {
@@ -121,6 +125,7 @@ impl<'a> Links<'a> {
         let shapes = Vec::new();
         self.plans.push(LinkPlan { name, parent, rest, joint, mass, gravity_scale: 1.0, shapes });
         self.masses.push(MassSum::default());
+        self.is_whole.push(true);
         self.carried.push(None);
     }
 
@@ -132,8 +137,9 @@ impl<'a> Links<'a> {
         frame: &Pose,
         (context, folder): (&mut Context, &mut Folder<'_>),
     ) {
-        let inertial = bodies::stated_inertia(body, &context.options);
-        let inertial = context.blockers.keep(inertial).flatten();
+        let inertial = context.blockers.keep(bodies::stated_inertia(body, &context.options));
+        self.is_whole[link] &= body.is_whole && inertial.is_some();
+        let inertial = inertial.flatten();
         let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
         let has_contacts = body.geoms.iter().any(Geom::collides);
         let only_weight = body.geoms.iter().filter(|geom| geom.weighs()).count() == 1;
@@ -145,20 +151,26 @@ impl<'a> Links<'a> {
             if !weighs && !is_drawn {
                 continue;
             }
-            let shape = geom.shape(&mut context.meshes, folder);
-            let Some((shape, pose)) = context.blockers.keep(shape) else { continue };
+            let read = geom.shape(&mut context.meshes, folder).and_then(|(shape, pose)| {
+                let placed = *frame * pose;
+                let solid = weighs.then(|| geom.solid(&shape, &placed, &context.meshes));
+                Ok((shape, pose, solid.transpose()?))
+            });
+            let Some((shape, pose, solid)) = context.blockers.keep(read) else {
+                self.is_whole[link] = false;
+                continue;
+            };
+            solids.extend(solid);
             if weighs && only_weight && !geom.is_mesh() {
                 axes = Some(frame.rotation * geom.axes(&pose));
             }
-            let pose = *frame * pose;
-            let solid = weighs.then(|| geom.solid(&shape, &pose, &context.meshes));
-            solids.extend(solid.and_then(|solid| context.blockers.keep(solid)));
             if is_drawn {
                 let touches = context.options.has_contacts && geom.collides();
                 let surface = Some(geom.surface).filter(|_| touches);
                 // MuJoCo's mass centre of a body without a mass: its position in its parent, as one in itself.
                 let mass_centre = *frame * body.frame.pose().translation;
                 let name = geom.name();
+                let pose = *frame * pose;
                 let plan = ShapePlan { name, shape, pose, surface, body: index, mass_centre };
                 self.plans[link].shapes.push(plan);
             }
@@ -195,13 +207,13 @@ impl<'a> Links<'a> {
         Ok(())
     }
 
-    /// Sets the links' mass properties. `total` scales all masses and inertias to this sum.
-    pub(super) fn masses_to_links(&mut self, total: Option<f64>) -> Result<(), String> {
+    /// Sets the links' mass properties.
+    pub(super) fn masses_to_links(&mut self, context: &Context) {
         let sum: f64 = self.masses.iter().map(MassSum::mass).sum();
-        let factor = total.map_or(1.0, |total| total / sum);
-        let count = self.plans.len();
+        let factor = context.options.total_mass.map_or(1.0, |total| total / sum);
         let roots = self.plans.iter().filter(|plan| plan.parent.is_none() && !plan.is_base());
-        let is_alone = count > 1 && roots.count() == 1;
+        let is_alone = self.plans.len() > 1 && roots.count() == 1;
+        let body = |link: usize| self.bodies.get(link).copied().flatten();
         for (index, (link, mass)) in self.plans.iter_mut().zip(&self.masses).enumerate() {
             link.mass = mass.properties(factor);
             if let JointPlan::Free(joint) = &link.joint
@@ -209,28 +221,25 @@ impl<'a> Links<'a> {
             {
                 link.joint = JointPlan::Floating(joint.clone());
             }
-            // The next link of the same body has its mass.
-            let shared = index + 1 < count
-                && self.bodies[index].is_some()
-                && std::ptr::eq(
-                    self.bodies[index].map_or(std::ptr::null(), std::ptr::from_ref),
-                    self.bodies[index + 1].map_or(std::ptr::null(), std::ptr::from_ref),
-                );
-            let (mass, moments) = (link.mass.mass(), link.mass.principal_inertia().to_array());
-            if let Some(body) = self.bodies[index]
-                && !shared
-                && !(MASSES.contains(&mass) && moments.iter().all(|own| MOMENTS.contains(own)))
-            {
-                let [a, b, c] = moments;
-                let reason = format!(
-                    "a body that moves must have a mass of 1e-12 to 1e9 kg and moments of inertia of 1e-15 to 1e15 \
-                     kg m^2, it has {mass:e}, and {a:e}, {b:e} and {c:e}; set its `inertial` or shapes"
-                );
-                return Err(body.element.refuse(reason));
+            // The last link of a body has its mass.
+            let Some(own) = body(index).filter(|_| self.is_whole[index]) else { continue };
+            if body(index + 1).is_none_or(|next| !std::ptr::eq(own, next)) {
+                context.blockers.keep(check_mass(own, &link.mass));
             }
         }
-        Ok(())
     }
+}
+
+fn check_mass(body: &Body, mass: &MassProperties) -> Result<(), String> {
+    let (mass, moments) = (mass.mass(), mass.principal_inertia().to_array());
+    if MASSES.contains(&mass) && moments.iter().all(|own| MOMENTS.contains(own)) {
+        return Ok(());
+    }
+    let [a, b, c] = moments;
+    Err(body.element.refuse(format!(
+        "a body that moves must have a mass of 1e-12 to 1e9 kg and moments of inertia of 1e-15 to 1e15 kg m^2, it has \
+         {mass:e}, and {a:e}, {b:e} and {c:e}; set its `inertial` or shapes"
+    )))
 }
 
 /// Parts of a body in its link, or one part in place of them, if the body has less than MuJoCo's `boundmass` or

@@ -7,6 +7,7 @@ use super::super::document::{Classes, Element};
 use super::super::folder::Folder;
 use super::super::inertia::Solid;
 use super::super::mesh::{Mesh, Volume};
+use super::blockers::Blockers;
 use super::options::Options;
 use crate::scene::Hull;
 
@@ -38,7 +39,8 @@ pub(super) struct Meshes {
 /// Where the files of meshes and height fields are.
 pub(super) struct Files {
     folder: String,
-    paths: Paths,
+    /// Whether only the name at the end of a path counts.
+    strips_paths: bool,
 }
 
 impl Files {
@@ -49,10 +51,7 @@ impl Files {
         folder: &mut Folder<'_>,
     ) -> Result<Option<(String, Vec<u8>)>, String> {
         let Some(file) = element.text("file") else { return Ok(None) };
-        let file = match self.paths {
-            Paths::Whole => file,
-            Paths::NameOnly => file.rsplit(['/', '\\']).next().unwrap_or(file),
-        };
+        let file = if self.strips_paths { name_of(file) } else { file };
         let read = folder.read(&self.folder, file);
         read.map(Some).map_err(|reason| element.refuse(reason))
     }
@@ -69,22 +68,17 @@ impl Meshes {
         root: &Element,
         classes: &Classes,
         options: &Options,
-    ) -> Result<Self, String> {
+        blockers: &Blockers,
+    ) -> Self {
         let mut assets = BTreeMap::new();
         for element in root.all("asset").flat_map(|section| section.all("mesh")) {
-            let element = classes.resolve(element, None)?;
-            let name = asset_name(&element);
-            if name.is_empty() {
-                return Err(element.refuse("it has neither a name nor a file; state one"));
-            }
-            let refused = element.refuse("another mesh has the same name; rename one");
-            if assets.insert(name, Asset { element, loaded: None }).is_some() {
-                return Err(refused);
-            }
+            let resolved = blockers.keep(classes.resolve(element, None));
+            let asset =
+                Asset { element: resolved.unwrap_or_else(|| element.alone()), loaded: None };
+            blockers.keep(insert(&mut assets, element, asset));
         }
-        let folder = options.mesh_folder.clone();
-        let paths = if options.strips_paths { Paths::NameOnly } else { Paths::Whole };
-        Ok(Self { assets, files: Files { folder, paths } })
+        let (folder, strips_paths) = (options.mesh_folder.clone(), options.strips_paths);
+        Self { assets, files: Files { folder, strips_paths } }
     }
 
     /// Convex hull of the mesh that a shape names.
@@ -129,19 +123,31 @@ impl Meshes {
     }
 }
 
+/// Adds a mesh or height field under its name.
+pub(super) fn insert<T>(
+    assets: &mut BTreeMap<String, T>,
+    element: &Element,
+    asset: T,
+) -> Result<(), String> {
+    let name = asset_name(element);
+    if name.is_empty() {
+        return Err(element.refuse("it has neither a name nor a file; state one"));
+    }
+    match assets.insert(name, asset) {
+        None => Ok(()),
+        Some(_) => Err(element.refuse("another one has the same name; rename one")),
+    }
+}
+
 /// Name of a mesh or height field, which is that of its file unless stated; empty without both.
 pub(super) fn asset_name(asset: &Element) -> String {
-    let file = asset.text("file").map(|file| file.rsplit(['/', '\\']).next().unwrap_or(file));
-    let stem = file.map(|file| file.rsplit_once('.').map_or(file, |(stem, _)| stem));
+    let stem = asset.text("file").map(name_of);
+    let stem = stem.map(|file| file.rsplit_once('.').map_or(file, |(stem, _)| stem));
     asset.text("name").or(stem).unwrap_or_default().to_owned()
 }
 
-/// What of the path of a mesh's file counts.
-#[derive(Clone, Copy, Debug)]
-enum Paths {
-    Whole,
-    /// The compiler's `strippath`.
-    NameOnly,
+fn name_of(path: &str) -> &str {
+    path.rsplit(['/', '\\']).next().unwrap_or(path)
 }
 
 impl Asset {

@@ -3,7 +3,7 @@
 use rapier3d::math::Vector;
 
 use super::super::blueprint::{Cone, ContactRules};
-use super::super::document::Element;
+use super::super::document::{Element, check_names};
 use super::super::fluid::Fluid;
 use super::super::frame::{Angles, vector};
 use super::super::softness::Integration;
@@ -45,6 +45,8 @@ const PLAIN: [(&str, &[&str], usize); 7] = [
     ("tendon", &[], 1000),
     ("keyframe", &[], 1000),
 ];
+/// Sections whose elements have different names, whatever their tags.
+const NAMED: [&str; 3] = ["actuator", "equality", "tendon"];
 const COMPILER: [&str; 22] = [
     "angle",
     "eulerseq",
@@ -164,8 +166,8 @@ pub(super) struct Options {
 
 impl Options {
     /// Reads the settings, and what MuJoCo would do in addition.
-    pub(super) fn read(root: &Element, blockers: &Blockers) -> Result<(Self, Vec<String>), String> {
-        check_sections(root, blockers)?;
+    pub(super) fn read(root: &Element, blockers: &Blockers) -> (Self, Vec<String>) {
+        check_sections(root, blockers);
         let [compiler, option, flags] = merged(root);
         blockers.keep(compiler.only(&[&COMPILER]));
         check_fixed(&compiler, &option, blockers);
@@ -212,7 +214,7 @@ impl Options {
             fluid: fluid(&option, blockers),
         };
         let differences = blockers.keep(differences(&option, &flags));
-        Ok((options, differences.unwrap_or_default()))
+        (options, differences.unwrap_or_default())
     }
 }
 
@@ -226,17 +228,27 @@ fn merged(root: &Element) -> [Element; 3] {
     ]
 }
 
-fn check_sections(root: &Element, blockers: &Blockers) -> Result<(), String> {
+/// Refuses sections with too many elements.
+pub(super) fn check_size(root: &Element) -> Result<(), String> {
+    let counts = PLAIN
+        .map(|(tag, _, most)| (tag, root.all(tag).flat_map(|own| &own.children).count(), most));
+    match counts.into_iter().find(|(_, count, most)| count > most) {
+        None => Ok(()),
+        Some((tag, count, most)) => {
+            Err(format!("<{tag}> has {count} elements, at most {most} are allowed; remove some"))
+        }
+    }
+}
+
+fn check_sections(root: &Element, blockers: &Blockers) {
     blockers.keep(root.only(&[&["model"]]));
-    for (tag, known, most) in PLAIN {
+    for (tag, known, _) in PLAIN {
         for section in root.all(tag) {
             blockers.keep(section.only(&[known]));
         }
-        let count = root.all(tag).flat_map(|section| &section.children).count();
-        if count > most {
-            let reason =
-                format!("<{tag}> has {count} elements, at most {most} are allowed; remove some");
-            return Err(reason);
+        let elements = root.all(tag).flat_map(|section| &section.children);
+        if NAMED.contains(&tag) {
+            blockers.keep(check_names(elements));
         }
     }
     for section in &root.children {
@@ -249,7 +261,6 @@ fn check_sections(root: &Element, blockers: &Blockers) -> Result<(), String> {
             blockers.note(child.refuse("this element is not supported; remove it"));
         }
     }
-    Ok(())
 }
 
 fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {

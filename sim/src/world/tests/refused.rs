@@ -58,7 +58,7 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
             "line 4, <joint name=\"j\">: the `range` of a ball joint must start at 0",
         ),
         (
-            bodies("\n<joint name=\"j\" springdamper=\"1 0\"/>"),
+            bodies("\n<joint name=\"j\" springdamper=\"1 0\"/><geom size=\"1\"/>"),
             "line 4, <joint name=\"j\">: `springdamper` must be a positive time constant",
         ),
         (bodies("<joint/>"), "line 3, <body name=\"b\">: a body that moves must have a mass"),
@@ -157,7 +157,7 @@ fn long_names_are_cut_in_messages_and_not_compared_letter_by_letter() {
     let mjcf = document(&known, &format!("<motor joint=\"{name}\" ctrlrange=\"-1 1\"/>"));
     let reason = robot(&mjcf).err().unwrap();
     assert!(reason.contains("no hinge, slide or ball joint") && reason.len() < 100_000, "{reason}");
-    let sizes = bodies(&format!("<geom size=\"{}x\"/>", "1 ".repeat(60_000)));
+    let sizes = bodies(&format!("<joint/><geom size=\"{}x\"/>", "1 ".repeat(60_000)));
     let reason = robot(&sizes).err().unwrap();
     assert!(reason.contains("must be finite numbers") && reason.len() < 200, "{reason}");
 }
@@ -186,11 +186,6 @@ fn refused_actuators_are_named_with_their_lines() {
             actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
             "line 6, <motor>: no fixed tendon has the name `t`; there is none",
         ),
-        (
-            actuator("<velocity joint=\"j\" ctrlrange=\"-1 1\"/>")
-                .replace("<mujoco>", "<mujoco><default><position kp=\"50\"/></default>"),
-            "<velocity joint=\"j\">: the gains of its class `main` are those of a <position>",
-        ),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
             actuator("<general joint=\"j\" dyntype=\"muscle\" ctrlrange=\"0 1\"/>"),
@@ -198,11 +193,67 @@ fn refused_actuators_are_named_with_their_lines() {
         ),
         (
             actuator("<general joint=\"j\" dyntype=\"filter\" dynprm=\"0\" ctrlrange=\"0 1\"/>"),
-            "line 6, <general joint=\"j\">: `dynprm` must start with a time constant of at least",
+            "line 6, <general joint=\"j\">: the time constant at the start of `dynprm` must not be 0",
         ),
         (
             actuator("<position joint=\"j\" dampratio=\"1\" kv=\"1\" ctrlrange=\"0 1\"/>"),
             "line 6, <position joint=\"j\">: `dampratio` must not be stated with `kv`",
+        ),
+    ]);
+}
+
+/// MuJoCo 4.0.0 refuses all of them, too.
+#[test]
+fn what_mujoco_does_not_compile_is_refused() {
+    let joints = |joints: &str| bodies(&format!("{joints}<geom size=\"1\"/>"));
+    let inertia =
+        |moments: &str| bodies(&format!("<joint/><inertial pos=\"0 0 0\" mass=\"1\" {moments}/>"));
+    let (ball, hinge, slide) = ("<joint type=\"ball\"/>", "<joint/>", "<joint type=\"slide\"/>");
+    let free = "<body pos=\"0 0 9\"><freejoint/><geom size=\"1\"/></body>";
+    let exceeds = "none may exceed the sum of the others";
+    assert_refused(&[
+        (inertia("diaginertia=\"1 1 5\""), exceeds),
+        (inertia("diaginertia=\"1 1 2.000001\""), exceeds),
+        (inertia("fullinertia=\"1 1 5 0.1 0 0\""), exceeds),
+        (joints(&format!("{ball}{hinge}")), "no hinge or ball may follow a ball joint"),
+        (joints(&format!("{ball}{slide}{ball}")), "no hinge or ball may follow a ball joint"),
+        (joints(&hinge.repeat(7)), "its joints have 7 degrees of freedom, at most 6"),
+        (
+            bodies(&format!("{free}<geom size=\"1\"/>")),
+            "must be the only joint of a child of the world",
+        ),
+        (joints(&format!("{hinge}{free}")), "must be the only joint of a child of the world"),
+        (geom("size=\"1\" contype=\"2147483648\""), "must be a whole number of 32 bits"),
+        (geom("size=\"1\" conaffinity=\"-2147483649\""), "must be a whole number of 32 bits"),
+        (
+            actuator("<motor joint=\"j\" gainprm=\"7\"/>"),
+            "the attribute `gainprm` is not supported",
+        ),
+        (actuator("<motor joint=\"j\" kp=\"5\"/>"), "the attribute `kp` is not supported"),
+        (actuator("<position joint=\"j\" dyntype=\"filter\"/>"), "the attribute `dyntype` is not"),
+        (actuator("<general joint=\"j\" kv=\"1\"/>"), "the attribute `kv` is not supported"),
+        (actuator("<general joint=\"j\" actrange=\"-1 1\"/>"), "an `actrange` needs an activation"),
+        (actuator("<position joint=\"j\" kv=\"-1\"/>"), "`kv` must not be negative"),
+        (
+            actuator("<position joint=\"j\" inheritrange=\"1\" ctrlrange=\"-1 1\"/>"),
+            "`inheritrange` must not be stated with `ctrlrange`",
+        ),
+        (
+            section("<asset><model name=\"m\" file=\"lost.xml\"/></asset>"),
+            "lost.xml does not exist",
+        ),
+        (
+            section(&format!("<asset>{0}{0}</asset>", "<hfield name=\"h\" size=\"1 1 1 1\"/>")),
+            "<hfield name=\"h\">: another one has the same name; rename one",
+        ),
+        (
+            section(&format!("<equality>{0}{0}</equality>", "<joint name=\"e\" joint1=\"j\"/>")),
+            "another element has the name `e`, too",
+        ),
+        (
+            section("<compiler autolimits=\"false\"/>")
+                .replace("axis=\"1 1 0\"", "axis=\"1 1 0\" range=\"-1 1\""),
+            "without `autolimits`, `limited` must be true or false; set it",
         ),
     ]);
 }

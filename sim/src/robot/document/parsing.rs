@@ -1,0 +1,153 @@
+//! Parses documents: included files are inlined, and lines are kept.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use super::super::folder::Folder;
+use super::super::nesting::deepest;
+use super::{Element, Place, start};
+
+/// Most elements inside each other, those of included files counted where they are included.
+const DEEPEST_ELEMENT: usize = 200;
+/// Nesting depth of included files.
+const DEEPEST_INCLUDE: usize = 8;
+const ROOT_END: &str = "</mujoco>";
+/// Most nodes of a file: elements, comments and texts between them.
+const MOST_NODES: u32 = 200_000;
+
+impl Element {
+    /// Parses a document and all files that it includes.
+    pub(in crate::robot) fn parse(text: &str, folder: &mut Folder<'_>) -> Result<Self, String> {
+        let document = parsed(text)?;
+        let root = document.root_element();
+        if root.tag_name().name() != "mujoco" {
+            return Err(format!(
+                "the document is <{}>, not <mujoco>; name an MJCF file",
+                root.tag_name().name()
+            ));
+        }
+        read(root, &Source::of(text, None), folder, Depth { elements: 1, includes: 0 })
+    }
+}
+
+/// A file of a document.
+struct Source {
+    /// `None` for the document itself.
+    file: Option<Rc<str>>,
+    /// Bytes before the end of each line.
+    line_ends: Vec<usize>,
+}
+
+impl Source {
+    fn of(text: &str, file: Option<Rc<str>>) -> Self {
+        let line_ends = text.match_indices('\n').map(|(at, _)| at).collect();
+        Self { file, line_ends }
+    }
+
+    /// Number of the line with this byte.
+    fn line(&self, byte: usize) -> u32 {
+        self.line_ends.partition_point(|end| *end < byte) as u32 + 1
+    }
+}
+
+/// How many elements, and how many included files, an element is in.
+#[derive(Clone, Copy)]
+struct Depth {
+    /// With the element itself.
+    elements: usize,
+    includes: usize,
+}
+
+fn read(
+    node: Node<'_, '_>,
+    source: &Source,
+    folder: &mut Folder<'_>,
+    depth: Depth,
+) -> Result<Element, String> {
+    if depth.elements > DEEPEST_ELEMENT {
+        return Err(too_deep());
+    }
+    folder.count_element()?;
+    let mut element = Element {
+        tag: node.tag_name().name().to_owned(),
+        place: Some(Place { file: source.file.clone(), line: source.line(node.range().start) }),
+        stated: BTreeMap::new(),
+        attributes: node
+            .attributes()
+            .filter(|a| a.name() != "name" || !a.value().is_empty())
+            .map(|a| (a.name().to_owned(), a.value().to_owned()))
+            .collect(),
+        children: Vec::new(),
+    };
+    check_plain(node, &element)?;
+    let inside = Depth { elements: depth.elements + 1, ..depth };
+    for child in node.children().filter(Node::is_element) {
+        let child_element = read(child, source, folder, inside)?;
+        if child_element.tag == "include" {
+            element.children.extend(included(&child_element, folder, inside)?);
+        } else {
+            element.children.push(child_element);
+        }
+    }
+    Ok(element)
+}
+
+/// Refuses prefixes, which could give an element two attributes of one name, and text with words, such as a tag without
+/// its `<`.
+fn check_plain(node: Node<'_, '_>, element: &Element) -> Result<(), String> {
+    let outside = node.parent_element().map_or(node, |parent| parent).tag_name().namespace();
+    let prefixed = node.attributes().find(|attribute| attribute.namespace().is_some());
+    if prefixed.is_some() || node.tag_name().namespace() != outside {
+        return Err(element.refuse("names with a prefix are not supported; remove it"));
+    }
+    let texts = node.children().filter_map(|child| child.text().filter(|_| child.is_text()));
+    match texts.map(str::trim).find(|text| text.contains(char::is_alphanumeric)) {
+        None => Ok(()),
+        Some(text) => {
+            let reason = "text between elements has no meaning, remove it";
+            Err(element.refuse(format!("{reason}: {}", start(text))))
+        }
+    }
+}
+
+/// Parses XML that is not nested so deeply that the parser's stack would overflow.
+fn parsed(text: &str) -> Result<Document<'_>, String> {
+    if deepest(text) > DEEPEST_ELEMENT {
+        return Err(too_deep());
+    }
+    // MuJoCo's parser ignores what follows the root, such as a second end in Unitree's files.
+    let mut text = text.trim_end();
+    while let Some(rest) = text.strip_suffix(ROOT_END).map(str::trim_end)
+        && rest.ends_with(ROOT_END)
+    {
+        text = rest;
+    }
+    let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+    let parsed = Document::parse_with_options(text, options);
+    parsed.map_err(|error| format!("it must be valid XML without a DTD: {error}"))
+}
+
+fn too_deep() -> String {
+    format!("elements are nested more than {DEEPEST_ELEMENT} deep")
+}
+
+/// Children of the root of an included file.
+fn included(
+    include: &Element,
+    folder: &mut Folder<'_>,
+    depth: Depth,
+) -> Result<Vec<Element>, String> {
+    include.only(&[&["file"]])?;
+    let name = include.text("file").ok_or_else(|| include.refuse("it has no `file`; add one"))?;
+    if depth.includes == DEEPEST_INCLUDE {
+        return Err(include.refuse(format!("files are included more than {DEEPEST_INCLUDE} deep")));
+    }
+    let (path, text) = folder.read_document(name).map_err(|error| include.refuse(error))?;
+    let document = parsed(&text).map_err(|error| include.refuse(error))?;
+    // The children of the root take the place of the include.
+    let outside = Depth { elements: depth.elements - 1, includes: depth.includes + 1 };
+    let source = Source::of(&text, Some(Rc::from(path)));
+    Ok(read(document.root_element(), &source, folder, outside)?.children)
+}
