@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::super::activation::{Activation, ActivationKind};
-use super::super::blueprint::{LinkPlan, MotorPlan, Servo};
+use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan};
 use super::super::document::{Element, bounds};
 use super::activations;
@@ -116,7 +116,7 @@ fn driven(
     let targets = ["joint", "jointinparent", "tendon"];
     let mut stated = targets.iter().filter_map(|target| Some((target, element.text(target)?)));
     let (attribute, name) = match (stated.next(), stated.next()) {
-        (Some((attribute, name)), None) => (*attribute, name),
+        (Some((attribute, name)), None) => (*attribute, name.to_owned()),
         (None, _) => {
             return Err(element.refuse("an actuator must act on a joint; state its `joint`"));
         }
@@ -126,13 +126,11 @@ fn driven(
     };
     let [gear, y, z, ..] = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
     if attribute == "tendon" {
-        let index = tendons.iter().position(|tendon| tendon.name == name);
         let known = tendons.iter().map(|tendon| tendon.name.as_str());
-        let unknown = || context.unknown(element, attribute, ("fixed tendon", known));
-        let index = index.ok_or_else(unknown)?;
+        let index = context.index(element, attribute, ("fixed tendon", known))?;
         let tendon = &tendons[index];
         return Ok(Driven {
-            name: name.to_owned(),
+            name,
             moved: tendon.moved.clone(),
             tendon: Some(index),
             reference: f64::from(tendon.reference),
@@ -141,32 +139,33 @@ fn driven(
             gear,
         });
     }
-    if let Some(first) = joints::find_ball(&links.plans, name) {
-        if attribute == "jointinparent" {
+    let hinges = joints::hinges(&links.plans);
+    let balls: Vec<&Hinge> = links.plans.iter().filter_map(LinkPlan::ball).collect();
+    let known = joints::names(&hinges).chain(joints::names(&balls));
+    let index = context.index(element, attribute, ("hinge, slide or ball joint", known))?;
+    match hinges.get(index) {
+        Some(hinge) => Ok(Driven {
+            name,
+            moved: Combination::of_hinge(index),
+            tendon: None,
+            reference: f64::from(hinge.reference),
+            range: hinge.range,
+            torque_range: hinge.torque_range,
+            gear,
+        }),
+        None if attribute == "jointinparent" => {
             let reason =
                 "an actuator turns a ball joint about axes of the child; state it as `joint`";
-            return Err(element.refuse_for(attribute, reason));
+            Err(element.refuse_for(attribute, reason))
         }
-        return Ok(Driven::ball(name, first, [gear, y, z]));
+        // The three rotations of each ball joint follow all hinges.
+        None => Ok(Driven::ball(name, 3 * index - 2 * hinges.len(), [gear, y, z])),
     }
-    let balls = links.plans.iter().filter_map(LinkPlan::ball).map(|ball| ball.name.as_str());
-    let known = joints::names(&links.plans).chain(balls);
-    let unknown = || context.unknown(element, attribute, ("hinge, slide or ball joint", known));
-    let (index, hinge) = joints::find(&links.plans, name).ok_or_else(unknown)?;
-    Ok(Driven {
-        name: name.to_owned(),
-        moved: Combination::of_hinge(index),
-        tendon: None,
-        reference: f64::from(hinge.reference),
-        range: hinge.range,
-        torque_range: hinge.torque_range,
-        gear,
-    })
 }
 
 impl Driven {
     /// A ball joint, of which an actuator turns the child about the axis `gear` in its own axes.
-    fn ball(name: &str, first: usize, gear: [f64; 3]) -> Self {
+    fn ball(name: String, first: usize, gear: [f64; 3]) -> Self {
         let parts = (first..).zip(gear).filter(|(_, part)| *part != 0.0);
         let parts: Vec<(usize, f32)> = parts.map(|(hinge, part)| (hinge, part as f32)).collect();
         let (moved, gear) = match parts.as_slice() {
@@ -174,8 +173,7 @@ impl Driven {
             [(hinge, part)] => (Combination::of_hinge(*hinge), f64::from(*part)),
             _ => (Combination(parts.into()), 1.0),
         };
-        let (name, tendon, range, torque_range) = (name.to_owned(), None, None, None);
-        Self { name, moved, tendon, reference: 0.0, range, torque_range, gear }
+        Self { name, moved, tendon: None, reference: 0.0, range: None, torque_range: None, gear }
     }
 }
 

@@ -86,13 +86,15 @@ fn pair(
 ) -> Result<PairPlan, String> {
     let element = context.classes.resolve(element, None)?;
     element.only(&[&PAIR, &SKIPPED])?;
+    let known: Vec<(usize, Surface, &str)> = (0..)
+        .zip(shapes)
+        .filter_map(|(index, (name, surface))| Some((index, (*surface)?, *name)))
+        .collect();
     let shape = |key: &str| {
-        let name = element.text(key);
-        let name = name.ok_or_else(|| element.refuse(format!("it must have `{key}`; add it")))?;
-        let index = shapes.iter().position(|(known, _)| *known == name);
-        let found = index.and_then(|index| Some((index, shapes[index].1?)));
-        let known = shapes.iter().filter(|(_, surface)| surface.is_some()).map(|(name, _)| *name);
-        found.ok_or_else(|| context.unknown(&element, key, ("shape that can touch", known)))
+        let names = known.iter().map(|(.., name)| *name);
+        let found = context.index(&element, key, ("shape that can touch", names))?;
+        let (index, surface, _) = known[found];
+        Ok::<_, String>((index, surface))
     };
     let ((first, one), (second, other)) = (shape("geom1")?, shape("geom2")?);
     let step_secs = context.options.timestep_secs;

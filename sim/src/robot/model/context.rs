@@ -67,19 +67,21 @@ impl Context {
         }
     }
 
-    /// Error message for an attribute that names no `kind`; `known` are the names of all. It is empty if the document states
-    /// the name, for an element that could not be read.
-    pub(super) fn unknown<'a>(
+    /// Index among `known` of the part that an attribute names. The error is empty if the document states the name, for an
+    /// element that could not be read.
+    pub(super) fn index<'a>(
         &self,
         element: &Element,
         attribute: &str,
         (kind, known): (&str, impl IntoIterator<Item = &'a str>),
-    ) -> String {
-        let name = element.text(attribute).unwrap_or_default();
-        if !self.blockers.is_empty() && self.names.contains(name) {
-            return String::new();
-        }
-        element.refuse_name(attribute, kind, known)
+    ) -> Result<usize, String> {
+        let missing = || element.refuse(format!("it must have `{attribute}`; add it"));
+        let name = element.text(attribute).ok_or_else(missing)?;
+        let known: Vec<&str> = known.into_iter().collect();
+        known.iter().position(|known| *known == name).ok_or_else(|| {
+            let follows = !self.blockers.is_empty() && self.names.contains(name);
+            if follows { String::new() } else { element.refuse_name(attribute, kind, known) }
+        })
     }
 }
 

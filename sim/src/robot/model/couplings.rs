@@ -73,19 +73,18 @@ fn fixed(
                 .refuse_for(name, format!("`{name}` of a tendon is not supported; remove it")));
         }
     }
+    let hinges = joints::hinges(links);
     let (mut terms, mut reference, mut at_springs) = (Vec::new(), 0.0, 0.0);
     for part in &element.children {
         part.only(&[&["joint", "coef"]])?;
-        let name =
-            part.text("joint").ok_or_else(|| part.refuse("it must name a `joint`; add it"))?;
-        let unknown = || context.unknown(part, "joint", ("hinge or slide", joints::names(links)));
-        let (index, hinge) = joints::find(links, name).ok_or_else(unknown)?;
+        let known = joints::names(&hinges);
+        let index = context.index(part, "joint", ("hinge or slide", known))?;
         if terms.iter().any(|(other, _)| *other == index) {
             return Err(part.refuse("its tendon has this joint twice; add the two `coef` up"));
         }
         let factor = part.number("coef", 1.0)?;
-        reference += factor * f64::from(hinge.reference);
-        at_springs += factor as f32 * hinge.spring_rest;
+        reference += factor * f64::from(hinges[index].reference);
+        at_springs += factor as f32 * hinges[index].spring_rest;
         terms.push((index, factor as f32));
     }
     if terms.is_empty() {
@@ -172,19 +171,14 @@ fn connection(
 ) -> Result<ConnectionPlan, String> {
     let is_weld = element.tag == "weld";
     element.only(&[&CONNECTION, if is_weld { &WELD } else { &[] }])?;
-    let body = |attribute: &str| match element.text(attribute) {
-        None => Ok(None),
-        Some(name) => {
-            let found = bodies.iter().position(|body| body.name == name).map(Some);
-            let known = bodies.iter().map(|body| body.name.as_str());
-            found.ok_or_else(|| context.unknown(element, attribute, ("body", known)))
-        }
+    let body = |attribute: &str| {
+        let known = bodies.iter().map(|body| body.name.as_str());
+        context.index(element, attribute, ("body", known))
     };
-    let [first, second] = [body("body1")?, body("body2")?.or(Some(0))];
+    let first = body("body1")?;
+    let second = element.text("body2").map_or(Ok(0), |_| body("body2"))?;
     let anchor = element.numbers("anchor")?.or(is_weld.then_some([0.0; 3]));
-    let (Some(first), Some(second), Some(anchor)) = (first, second, anchor) else {
-        return Err(element.refuse("it must have `body1` and `anchor`; add them"));
-    };
+    let anchor = anchor.ok_or_else(|| element.refuse("it must have `anchor`; add it"))?;
     if first == second {
         return Err(element.refuse("it connects a body with itself; name another `body2`"));
     }
@@ -249,31 +243,21 @@ fn equality(
         }
     };
     element.only(&[&EQUALITY])?;
-    let coupled = |name: &str| match is_joint {
-        true => joints::find(links, name).map(|(index, _)| Coupled::Hinge(index)),
-        false => tendons.iter().position(|tendon| tendon.name == name).map(Coupled::Tendon),
+    let (kind, known): (_, Vec<&str>) = match is_joint {
+        true => ("hinge or slide", joints::names(&joints::hinges(links)).collect()),
+        false => ("fixed tendon", tendons.iter().map(|tendon| tendon.name.as_str()).collect()),
     };
-    let side = |attribute: &str| match element.text(attribute) {
-        None => Ok(None),
-        Some(name) => coupled(name).map(Some).ok_or_else(|| match is_joint {
-            true => {
-                let known = joints::names(links);
-                context.unknown(element, attribute, ("hinge or slide", known))
-            }
-            false => {
-                let known = tendons.iter().map(|tendon| tendon.name.as_str());
-                context.unknown(element, attribute, ("fixed tendon", known))
-            }
-        }),
+    let side = |attribute: &str| {
+        let index = context.index(element, attribute, (kind, known.iter().copied()))?;
+        Ok::<_, String>(if is_joint { Coupled::Hinge(index) } else { Coupled::Tendon(index) })
     };
     let [first, second] = if is_joint { ["joint1", "joint2"] } else { ["tendon1", "tendon2"] };
-    let missing = || element.refuse(format!("it must have `{first}`; add it"));
     if element.text(first) == element.text(second) && element.text(first).is_some() {
         return Err(element.refuse(format!("`{first}` and `{second}` are the same; change one")));
     }
     Ok(EqualityPlan {
-        first: side(first)?.ok_or_else(missing)?,
-        second: side(second)?,
+        first: side(first)?,
+        second: element.text(second).map(|_| side(second)).transpose()?,
         polynomial: element.padded("polycoef", [0.0, 1.0, 0.0, 0.0, 0.0])?,
         softness: joints::softness(element, ["solref", "solimp"], context)?,
     })

@@ -34,22 +34,14 @@ const SKIPPED: [&str; 3] = ["group", "user", "actuatorfrclimited"];
 const SHORTEST_AXIS: f64 = 1e-9;
 const PASSIVE: [&str; 4] = ["stiffness", "damping", "armature", "frictionloss"];
 
-/// The hinge or slide with this name, and its index among all.
-pub(super) fn find<'a>(links: &'a [LinkPlan], name: &str) -> Option<(usize, &'a Hinge)> {
-    let mut hinges = links.iter().filter_map(LinkPlan::hinge).enumerate();
-    hinges.find(|(_, hinge)| hinge.name == name)
+/// All hinges and slides.
+pub(super) fn hinges(links: &[LinkPlan]) -> Vec<&Hinge> {
+    links.iter().filter_map(LinkPlan::hinge).collect()
 }
 
-/// Names of all hinges and slides.
-pub(super) fn names(links: &[LinkPlan]) -> impl Iterator<Item = &str> {
-    links.iter().filter_map(LinkPlan::hinge).map(|hinge| hinge.name.as_str())
-}
-
-/// The first of the three rotations of the ball joint with this name, which follow all hinges.
-pub(super) fn find_ball(links: &[LinkPlan], name: &str) -> Option<usize> {
-    let hinges = links.iter().filter_map(LinkPlan::hinge).count();
-    let balls = links.iter().filter_map(LinkPlan::ball);
-    balls.enumerate().find(|(_, ball)| ball.name == name).map(|(ball, _)| hinges + 3 * ball)
+/// Names of joints.
+pub(super) fn names<'a>(joints: &[&'a Hinge]) -> impl Iterator<Item = &'a str> {
+    joints.iter().map(|joint| joint.name.as_str())
 }
 
 /// Whether a joint is a free joint.
