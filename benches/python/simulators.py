@@ -5,8 +5,7 @@
 
 Prints for each robot the medians of the rounds: environment steps per second, and microseconds of processor time of a step,
 which other programs on the machine hardly change. `parallel_env` of s2mia and of gymnasium-robotics is one environment in one
-thread. The last table is the processor time of a call itself: what remains if the environments' own time is taken off, by
-the difference of a call with one environment and a call with all, in one thread.
+thread. The last table is the processor time that a call of s2mia spends in Python: that of calls whose native answer is recorded.
 """
 
 import argparse
@@ -98,17 +97,20 @@ def race(steps: dict[str, tuple[Step, int]], options) -> dict[str, tuple[float, 
     return {name: tuple(map(statistics.median, zip(*rows, strict=True))) for name, rows in rates.items()}
 
 
-def call_cost(task: str, options) -> list[float]:
-    """Processor seconds of a call of `parallel_env` and of `vector_env` without those of the environments."""
-    count = options.environments
-    steps = {
-        "parallel": (parallel(s2mia.parallel_env(task)), 1),
-        "one": (vector(s2mia.vector_env(task, num_envs=1, threads=1)), 1),
-        "all": (vector(s2mia.vector_env(task, num_envs=count, threads=1)), 1),
-    }
-    calls = {name: cpu for name, (_, cpu) in race(steps, options).items()}
-    environment = (calls["all"] - calls["one"]) / (count - 1)
-    return [calls["parallel"] - environment, calls["one"] - environment]
+class Recorded:
+    """Answers as the native module, without a step of the simulator."""
+
+    def __init__(self, simulator) -> None:
+        numbers = simulator.num_envs * sum(agent.action_size for agent in simulator.task.agents)
+        answer = simulator.native.step(np.zeros(numbers, np.float32).tobytes())
+        self.step = lambda joint: answer
+
+
+def call_cost(env, step: Step, options) -> float:
+    """Processor seconds that a call spends in Python: the median over the rounds."""
+    env.simulator.native = Recorded(env.simulator)
+    measured(step, WARM_SECS)
+    return statistics.median(measured(step, options.secs)[1] for _ in range(options.rounds))
 
 
 def main() -> None:
@@ -122,9 +124,11 @@ def main() -> None:
     for robot in ROBOTS:
         for name, (rate, cpu) in race(contestants(robot, options), options).items():
             print(f"| {robot[0]} | {name} | {rate:,.0f} | {cpu * 1e6:.1f} |", flush=True)
-    print("\n| robot | call of `parallel_env`, µs | call of `vector_env`, µs |\n| --- | --- | --- |")
+    print(f"\n| robot | `parallel_env`, µs | `vector_env`, {options.environments}, µs |\n| --- | --- | --- |")
     for task, *_ in ROBOTS:
-        print(f"| {task} | {' | '.join(f'{secs * 1e6:.1f}' for secs in call_cost(task, options))} |", flush=True)
+        one, many = s2mia.parallel_env(task), s2mia.vector_env(task, num_envs=options.environments)
+        costs = [call_cost(one, parallel(one), options), call_cost(many, vector(many), options)]
+        print(f"| {task} | {' | '.join(f'{secs * 1e6:.1f}' for secs in costs)} |", flush=True)
 
 
 if __name__ == "__main__":
