@@ -8,7 +8,7 @@ mod curves;
 mod event_file;
 mod tags;
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
@@ -19,7 +19,7 @@ pub use self::curves::{Curves, MetricCurve};
 use self::event_file::EventFile;
 use crate::observe::event::{EvaluationReport, IterationReport};
 use crate::store::durable::FileError;
-use crate::store::json_lines::{JsonLines, iterations};
+use crate::store::json_lines::JsonLines;
 use crate::store::run_folder::{METRICS, TENSORBOARD};
 
 /// The metrics files of a run, open for appending.
@@ -31,16 +31,28 @@ pub struct Metrics {
     curves: Arc<Mutex<Curves>>,
 }
 
+/// Mean returns of a run's evaluations, by the iteration of the evaluated policies.
+pub type Returns = BTreeMap<u64, f64>;
+
+/// The results of the evaluations in the lines of `metrics.jsonl`.
+#[must_use]
+pub fn returns(lines: &[Value]) -> Returns {
+    let evaluations = lines.iter().filter(|line| line["kind"] == "evaluation");
+    evaluations
+        .filter_map(|line| Some((line["iteration"].as_u64()?, line["mean"].as_f64()?)))
+        .collect()
+}
+
 impl Metrics {
-    /// Opens the metrics of a run that resumes after `iteration` and drops later lines. Also returns the iterations
-    /// whose evaluations they contain.
+    /// Opens the metrics of a run that resumes after `iteration` and drops later lines. Also returns the mean returns of
+    /// the evaluations that they contain, by iteration.
     ///
     /// # Errors
     /// A file cannot be read or written.
-    pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, BTreeSet<u64>), FileError> {
+    pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, Returns), FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS), iteration)?;
         lines.warn_of_gaps(&kept, iteration);
-        let measured = iterations(&kept, "evaluation");
+        let measured = returns(&kept);
         let events = EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?;
         let mut curves = Curves::default();
         kept.iter().for_each(|line| curves.add(line));
@@ -153,6 +165,6 @@ mod tests {
             metrics.iteration(&report(iteration + 1)).unwrap();
         }
         let (_, measured) = Metrics::open(folder.path(), 3).unwrap();
-        assert_eq!(measured, BTreeSet::from([0, 2]));
+        assert_eq!(measured, Returns::from([(0, 1.0), (2, 1.0)]));
     }
 }

@@ -15,7 +15,6 @@ use std::path::{Path, PathBuf};
 
 use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_safetensors};
 
-use crate::config::CheckpointConfig;
 use crate::store::durable::{self, DRAFT, FileError};
 use crate::store::plain_file;
 
@@ -23,7 +22,7 @@ use kept::{is_gone, iterations, prune};
 use step::about_to;
 
 pub(crate) use kept::{FOLDER, named_latest};
-pub use kept::{all, is_checkpoint, place};
+pub use kept::{Keep, all, best, is_checkpoint, place};
 pub use manifest::{FileEntry, Manifest, SCHEMA};
 pub use step::{Before, Step};
 
@@ -179,7 +178,7 @@ pub fn save(
     run_folder: &Path,
     checkpoint: &Checkpoint,
     settings: RunSettings<'_>,
-    keep: &CheckpointConfig,
+    keep: &Keep<'_>,
     before: &mut Before<'_>,
 ) -> Result<Saved, CheckpointError> {
     let folder = folder(run_folder);

@@ -1,12 +1,11 @@
 //! Schedules evaluations and stores the outstanding one in checkpoints. At most one evaluation is outstanding; its
 //! result does not affect training.
 
-use std::collections::BTreeSet;
-
 use bytes::Bytes;
 use policy::arrays::{Array, NamedArrays};
 
 use crate::config::EvaluationConfig;
+use crate::observe::metrics::Returns;
 use crate::store::checkpoint::{CheckpointError, fields};
 
 const ITERATION: &str = "evaluation/iteration";
@@ -19,8 +18,8 @@ pub struct Evaluations {
     steps_per_iteration: u64,
     last_iteration: u64,
     latest: Option<Evaluated>,
-    /// Iterations whose results are in the metrics.
-    measured: BTreeSet<u64>,
+    /// The results that are in the metrics.
+    measured: Returns,
 }
 
 /// Policies whose evaluation has begun.
@@ -33,14 +32,14 @@ pub struct Evaluated {
 }
 
 impl Evaluations {
-    /// The evaluations of a run of `last_iteration` iterations. `measured` are the iterations whose results are
-    /// already in the metrics.
+    /// The evaluations of a run of `last_iteration` iterations. `measured` are the results that are already in
+    /// the metrics.
     #[must_use]
     pub fn new(
         config: EvaluationConfig,
         steps_per_iteration: u64,
         last_iteration: u64,
-        measured: BTreeSet<u64>,
+        measured: Returns,
     ) -> Self {
         Self { config, steps_per_iteration, last_iteration, latest: None, measured }
     }
@@ -56,7 +55,7 @@ impl Evaluations {
     #[must_use]
     pub fn due(&self, iteration: u64) -> bool {
         let begun = self.latest.as_ref().is_some_and(|latest| latest.iteration == iteration);
-        if self.config.every_steps == 0 || begun || self.measured.contains(&iteration) {
+        if self.config.every_steps == 0 || begun || self.measured.contains_key(&iteration) {
             return false;
         }
         let passed =
@@ -70,7 +69,7 @@ impl Evaluations {
     #[must_use]
     pub fn outstanding(&self) -> Option<&Evaluated> {
         let pending = |latest: &&Evaluated| {
-            self.config.every_steps > 0 && !self.measured.contains(&latest.iteration)
+            self.config.every_steps > 0 && !self.measured.contains_key(&latest.iteration)
         };
         self.latest.as_ref().filter(pending)
     }
@@ -80,9 +79,15 @@ impl Evaluations {
         self.latest = Some(evaluated);
     }
 
-    /// Ends the evaluation of `iteration`, whose result is in the metrics.
-    pub fn end(&mut self, iteration: u64) {
-        self.measured.insert(iteration);
+    /// Ends the evaluation of `iteration`, whose mean return is in the metrics.
+    pub fn end(&mut self, iteration: u64, mean_return: f64) {
+        self.measured.insert(iteration, mean_return);
+    }
+
+    /// The results that are in the metrics.
+    #[must_use]
+    pub fn returns(&self) -> &Returns {
+        &self.measured
     }
 
     /// The latest evaluation as arrays under `evaluation/`, finished or not. Whether it is finished depends on timing
@@ -117,7 +122,7 @@ mod tests {
 
     fn evaluations(every_steps: u64) -> Evaluations {
         let config = EvaluationConfig { every_steps, episodes: 2, sampled: false };
-        Evaluations::new(config, 4000, 30, BTreeSet::new())
+        Evaluations::new(config, 4000, 30, Returns::new())
     }
 
     #[test]

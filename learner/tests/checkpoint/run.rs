@@ -1,11 +1,11 @@
 //! A run folder with small checkpoints, also for fuzzing.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use learner::config::CheckpointConfig;
 use learner::store::checkpoint::{
-    self, Before, Checkpoint, CheckpointError, Loaded, RunSettings, Saved,
+    self, Before, Checkpoint, CheckpointError, Keep, Loaded, RunSettings, Saved,
 };
 use policy::arrays::{Array, NamedArrays};
 
@@ -22,12 +22,12 @@ pub(crate) fn checkpoint(iteration: u64) -> Checkpoint {
     Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
 }
 
-/// A run folder.
-pub(crate) struct Run(pub(crate) tempfile::TempDir);
+/// A run folder, and the returns of the run's evaluations.
+pub(crate) struct Run(pub(crate) tempfile::TempDir, pub(crate) BTreeMap<u64, f64>);
 
 impl Run {
     pub(crate) fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
+        Self(tempfile::tempdir().unwrap(), BTreeMap::new())
     }
 
     pub(crate) fn with(iterations: &[u64]) -> Self {
@@ -48,7 +48,7 @@ impl Run {
         before: &mut Before<'_>,
     ) -> Result<Saved, CheckpointError> {
         let settings = RunSettings { sha256: "c0ffee", toml: "a = 1\n" };
-        let keep = CheckpointConfig { every: 1, keep_last };
+        let keep = Keep { newest: keep_last, returns: &self.1 };
         checkpoint::save(self.0.path(), checkpoint, settings, &keep, before)
     }
 

@@ -1,5 +1,6 @@
 //! Which checkpoints stand in a folder, which of them stay, and copies of them.
 
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,6 @@ use std::path::{Path, PathBuf};
 use super::{
     CheckpointError, LATEST, Loaded, MANIFEST, POLICY, RunSettings, SETTINGS, Saved, name, save,
 };
-use crate::config::CheckpointConfig;
 use crate::store::durable::{self, DRAFT, FileError};
 use crate::store::plain_file;
 
@@ -50,7 +50,7 @@ impl Loaded {
     /// Names the file that could not be written.
     pub fn copy_to(&self, run_folder: &Path, toml: &str) -> Result<Saved, CheckpointError> {
         let settings = RunSettings { sha256: &self.manifest.config_sha256, toml };
-        let keep = CheckpointConfig { every: 1, keep_last: usize::MAX };
+        let keep = Keep { newest: usize::MAX, returns: &BTreeMap::new() };
         save(run_folder, &self.checkpoint, settings, &keep, &mut |_, _| Ok(()))
     }
 }
@@ -92,15 +92,38 @@ pub fn is_checkpoint(path: &Path) -> bool {
     whole.is_dir() && (in_place || is_copy())
 }
 
-/// Removes all but the newest `keep_last` up to `newest`, and drafts that a crash left. Checkpoints beyond `newest` are
+/// Which checkpoints stay: the newest, and the one with the best evaluation.
+#[derive(Clone, Copy, Debug)]
+pub struct Keep<'a> {
+    /// How many of the newest stay.
+    pub newest: usize,
+    /// Mean returns of evaluations, by iteration.
+    pub returns: &'a BTreeMap<u64, f64>,
+}
+
+/// The checkpoint of a run with the highest return of an evaluation; of equal ones the newest. `None` if none is evaluated.
+///
+/// # Errors
+/// The folder of checkpoints cannot be read.
+pub fn best(run_folder: &Path, returns: &BTreeMap<u64, f64>) -> Result<Option<PathBuf>, FileError> {
+    let folder = super::folder(run_folder);
+    let best = best_of(&iterations(&folder)?, returns);
+    Ok(best.map(|iteration| folder.join(name(iteration))))
+}
+
+fn best_of(iterations: &[u64], returns: &BTreeMap<u64, f64>) -> Option<u64> {
+    let evaluated = iterations.iter().filter_map(|it| Some((*it, *returns.get(it)?)));
+    evaluated.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(iteration, _)| iteration)
+}
+
+/// Removes all checkpoints up to `newest` but those to `keep`, and drafts that a crash left. Checkpoints beyond `newest` are
 /// damaged; they stay until their iteration is written again.
-pub(super) fn prune(
-    folder: &Path,
-    newest: u64,
-    keep: &CheckpointConfig,
-) -> Result<(), CheckpointError> {
-    let written = iterations(folder)?.into_iter().filter(|iteration| *iteration <= newest);
-    for iteration in written.rev().skip(keep.keep_last) {
+pub(super) fn prune(folder: &Path, newest: u64, keep: &Keep<'_>) -> Result<(), CheckpointError> {
+    let mut written = iterations(folder)?;
+    written.retain(|iteration| *iteration <= newest);
+    let best = best_of(&written, keep.returns);
+    let old = written.into_iter().rev().skip(keep.newest);
+    for iteration in old.filter(|iteration| Some(*iteration) != best) {
         remove(folder, &name(iteration))?;
     }
     let entries = std::fs::read_dir(folder).map_err(FileError::of("read", folder))?;

@@ -79,7 +79,7 @@ impl RunningTrainer {
             episodes: outcome.episodes.len(),
         };
         self.trainer.metrics.evaluation(&report)?;
-        self.trainer.evaluations.end(iteration);
+        self.trainer.evaluations.end(iteration, report.spread.mean);
         self.tell(&Event::Evaluation(report));
         Ok(())
     }

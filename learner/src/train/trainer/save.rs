@@ -10,7 +10,7 @@ use policy::arrays::{Array, NamedArrays};
 use crate::error::LearnerError;
 use crate::lease::exchange::Storage;
 use crate::observe::event::{Event, Stage, WrittenCheckpoint};
-use crate::store::checkpoint::{self, Checkpoint, RunSettings, Saved, Step};
+use crate::store::checkpoint::{self, Checkpoint, Keep, RunSettings, Saved, Step};
 use crate::train::fail_points;
 use crate::train::trainer::{RunningTrainer, Trainer};
 
@@ -78,7 +78,8 @@ impl Trainer {
             policy: self.policy.to_vec(),
         };
         let folder = self.folder.path();
-        let keep = &self.launch.config.checkpoint;
+        let newest = self.launch.config.checkpoint.keep_last;
+        let keep = Keep { newest, returns: self.evaluations.returns() };
         let sha256 = self.launch.config_sha256.to_string();
         let settings = RunSettings { sha256: &sha256, toml: &self.launch.config_toml };
         let mut before = |step, _: &Path| {
@@ -88,7 +89,7 @@ impl Trainer {
             self.folder.demand_in_place().map_err(io::Error::other)?;
             fail_points::fail_at(step, self.iteration)
         };
-        Ok(checkpoint::save(folder, &checkpoint, settings, keep, &mut before)?)
+        Ok(checkpoint::save(folder, &checkpoint, settings, &keep, &mut before)?)
     }
 
     /// The state that the next iteration depends on, and the latest evaluation.
