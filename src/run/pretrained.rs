@@ -49,6 +49,7 @@ macro_rules! teams {
 
 /// Task and policies of each team, as actors get them.
 const TEAMS: &[(&str, &[u8])] = teams!(
+    "halfcheetah-2x3",
     "halfcheetah-pushed-2x3",
     "walker2d-pushed-2x3",
     "ant-pushed-4x2",
