@@ -17,8 +17,8 @@ use crate::film::{self, RobotShapes};
 const LIMITS: [i64; 2] = [65_536, 1024];
 
 /// Settings that change environments, besides the task; of a name with a dot at its end, all that begin with it.
-const EFFECTIVE: [&str; 5] =
-    ["observation.", "run.seed", "environments.steps", "preset", "algorithm"];
+const EFFECTIVE: [&str; 6] =
+    ["observation.", "reward.", "run.seed", "environments.steps", "preset", "algorithm"];
 
 /// Environments of one task, `E` in number. Environment `e` is environment `e` of a run with the same settings: it starts its
 /// episodes in the same states, and is rebuilt from its state after the steps of a slot.
@@ -248,7 +248,8 @@ fn demand_effect(keys: &[String]) -> anyhow::Result<()> {
         EFFECTIVE.iter().any(|own| *own == key || (own.ends_with('.') && key.starts_with(own)))
     };
     let Some(key) = keys.iter().find(|key| !changes(key)) else { return Ok(()) };
-    let why = "has no effect on an environment; run.seed, preset, algorithm and those of `observation` have";
+    let why = "has no effect on an environment; run.seed, environments.steps, preset, algorithm and the keys of observation \
+               and reward have";
     Err(Usage::new(format!("settings: `{key}` {why}")).into())
 }
 

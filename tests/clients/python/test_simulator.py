@@ -128,6 +128,16 @@ def test_disturbances_act_as_in_training_unless_others_are_chosen():
     assert starts() != starts(disturbances="off")
 
 
+def test_a_weight_of_the_reward_is_a_setting():
+    rewards = {}
+    for weight in (0.1, 0.3):
+        env = s2mia.parallel_env("halfcheetah-2x3", seed=1, reward__control=weight)
+        env.reset()
+        rewards[weight] = env.step(dict.fromkeys(env.agents, np.full(3, 0.5, np.float32)))[1]["agent_0"]
+    # Six actions of 0.5 have squares of 1.5 in sum.
+    assert rewards[0.1] - rewards[0.3] == pytest.approx(0.2 * 1.5, abs=1e-6)
+
+
 def test_a_task_file_is_an_environment():
     file = ROOT / "sim" / "assets" / "hopper.toml"
     env = s2mia.parallel_env(file, seed=1)

@@ -10,6 +10,8 @@ from mcap_protobuf.decoder import DecoderFactory
 ENVIRONMENTS, STEPS, SEED = 4, 300, 7
 RUN = [f"run.seed={SEED}", "run.iterations=3", "run.actors=1", f"environments.count={ENVIRONMENTS}", "log.episodes=all",
        "environments.steps=100", "environments.per_slot=2", "environments.message_steps=50", "evaluation.every_steps=0"]
+# A run rebuilds its worlds after as many steps.
+SETTINGS = {"environments__steps": 100}
 
 
 class Logged:
@@ -55,7 +57,7 @@ def staggered(task) -> list[int]:
 def test_a_vector_of_environments_repeats_a_run_bit_for_bit(run, threads):
     task, steps, _ = run
     assert [len(own) for own in steps] == [STEPS] * ENVIRONMENTS
-    envs = s2mia.vector_env(task, ENVIRONMENTS, threads=threads, seed=SEED)
+    envs = s2mia.vector_env(task, ENVIRONMENTS, threads=threads, seed=SEED, **SETTINGS)
     seen, _ = envs.reset(options={"limit": staggered(task)})
     done, starts = [0] * ENVIRONMENTS, np.zeros(ENVIRONMENTS, bool)
     actions = np.zeros(envs.action_space.shape, np.float32)
@@ -78,7 +80,7 @@ def test_a_vector_of_environments_repeats_a_run_bit_for_bit(run, threads):
 
 def test_one_environment_repeats_environment_0_for_a_team_and_for_one_agent(run):
     task, steps, _ = run
-    team, one = s2mia.parallel_env(task, seed=SEED), s2mia.gym_env(task, seed=1)
+    team, one = s2mia.parallel_env(task, seed=SEED, **SETTINGS), s2mia.gym_env(task, seed=1, **SETTINGS)
     limit = {"limit": staggered(task)[0]}
     observations, _ = team.reset(options=limit)
     state, _ = one.reset(seed=SEED, options=limit)
