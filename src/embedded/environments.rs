@@ -137,8 +137,9 @@ impl Environments {
     /// the step before starts its next episode instead, with the reward 0.
     ///
     /// # Errors
-    /// If an action is invalid; no environment is stepped.
+    /// Before the first reset, or if an action is invalid; no environment is stepped.
     pub fn step(&mut self, actions: &[f32]) -> anyhow::Result<()> {
+        ensure!(self.has_begun, "no episode has begun; call reset()");
         let (count, seed) = (self.count(), self.seed);
         sim::check_actions(self.task(), count, actions)?;
         let size = actions.len() / count;

@@ -13,7 +13,7 @@ def arguments(task: str | os.PathLike[str], settings: Mapping[str, Any]) -> list
 
     Raises `ValueError` for a value that is neither a truth value nor a number nor a text.
     """
-    return [os.fspath(task), *(f"{key.replace('__', '.')}={_text(key, value)}" for key, value in settings.items())]
+    return [f"task={os.fspath(task)}", *(f"{key.replace('__', '.')}={_text(key, value)}" for key, value in settings.items())]
 
 
 def _text(key: str, value: Any) -> str:

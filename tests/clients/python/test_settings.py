@@ -21,7 +21,7 @@ from s2mia.settings import arguments
     ],
 )
 def test_a_keyword_with_two_underscores_is_a_setting_of_the_program(name, value, argument):
-    assert arguments("ant-4x2", {name: value}) == ["ant-4x2", argument]
+    assert arguments("ant-4x2", {name: value}) == ["task=ant-4x2", argument]
 
 
 @pytest.mark.parametrize("value", [None, [1], {"seed": 1}, np.zeros(2), 1j])

@@ -76,9 +76,11 @@ def test_rows_of_unequal_agents_are_padded():
 
 def test_invalid_actions_name_the_environment_and_step_none():
     envs = s2mia.vector_env("halfcheetah-2x3", 4, threads=4)
+    actions = np.zeros(envs.action_space.shape, np.float32)
+    with pytest.raises(ValueError, match=r"^no episode has begun; call reset\(\)$"):
+        envs.step(actions)
     envs.reset()
     before = envs.state().tobytes()
-    actions = np.zeros(envs.action_space.shape, np.float32)
     for shape in [(4, 6), (3, 2, 3)]:
         with pytest.raises(ValueError, match="the actions have the shape"):
             envs.step(np.zeros(shape))
