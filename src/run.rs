@@ -1,6 +1,7 @@
 //! Runs on this machine: starting, resuming, supervising, serving and verifying them. This file prepares the start of a learner
 //! from the arguments of `train` and `learner`.
 
+pub(crate) mod chosen;
 pub(crate) mod offered;
 pub(crate) mod pretrained;
 pub(crate) mod recorded;

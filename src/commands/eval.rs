@@ -1,7 +1,5 @@
 //! `s2mia eval`: whole episodes of a trained policy, mean or drawn actions, extrinsic return only.
 
-use std::path::PathBuf;
-
 use anyhow::Context as _;
 use clap::Args;
 use learner::observe::event::Spread;
@@ -14,14 +12,16 @@ use crate::errors::Usage;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
+use crate::run::chosen::ChosenArguments;
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::{self, Trained};
 
 /// `s2mia eval`
 #[derive(Args, Debug)]
 pub(crate) struct EvalArguments {
-    /// Run folder, or one of its checkpoints, or a task with a trained team.
-    pub(crate) run: PathBuf,
+    /// Policies.
+    #[command(flatten)]
+    pub(crate) of: ChosenArguments,
     /// Number of whole episodes.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
@@ -38,7 +38,8 @@ pub(crate) struct EvalArguments {
 
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
-    let trained = stored::trained(&arguments.run)?;
+    let run = arguments.of.path()?;
+    let trained = stored::trained(&run)?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
     let world = hosted.environment.as_mut();
     if arguments.disturbed && !world.can_be_disturbed() {
@@ -60,7 +61,7 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     let simulator = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
-    let run = arguments.run.display();
+    let run = run.display();
     let steps = chart::thousands(trained.env_steps);
     let seed = trained.config.run.seed;
     let first = trained.episode(0).id();

@@ -17,6 +17,7 @@ use sim::{EnvironmentBatch, SimError};
 use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
+use crate::run::chosen::ChosenArguments;
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
@@ -24,8 +25,9 @@ use crate::run::{run_path, stored};
 /// `s2mia export`
 #[derive(Args, Debug)]
 pub(crate) struct ExportArguments {
-    /// Run folder, or one of its checkpoints, or a task with a trained team.
-    pub(crate) run: PathBuf,
+    /// Policies.
+    #[command(flatten)]
+    pub(crate) of: ChosenArguments,
     /// Folder for agent_0.onnx, agent_1.onnx, ..., policy.safetensors and episode.safetensors.
     #[arg(long, value_name = "DIR")]
     pub(crate) onnx: PathBuf,
@@ -36,7 +38,7 @@ pub(crate) struct ExportArguments {
 
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
-    let trained = stored::trained(&arguments.run)?;
+    let trained = stored::trained(&arguments.of.path()?)?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
     target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();

@@ -9,14 +9,16 @@ use crate::errors::Usage;
 use crate::film::{self, Animation, FFMPEG, PlayedEpisode, TimedPose, ViewDirection};
 use crate::process::output;
 use crate::process::target::ForceArguments;
+use crate::run::chosen::ChosenArguments;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
 
 /// `s2mia film`
 #[derive(Args, Debug)]
 pub(crate) struct FilmArguments {
-    /// Run folder, or one of its checkpoints, or a task with a trained team.
-    pub(crate) run: PathBuf,
+    /// Policies.
+    #[command(flatten)]
+    pub(crate) of: ChosenArguments,
     /// Index of the episode, counted as in `s2mia eval`.
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     pub(crate) episode: u32,
@@ -47,11 +49,12 @@ pub(crate) struct FilmArguments {
 /// Writes the film and prints the measures of the whole episode.
 pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let format = Format::of(arguments)?;
-    let trained = stored::trained(&arguments.run)?;
-    demand_simulator(&trained, &arguments.run)?;
+    let run = arguments.of.path()?;
+    let trained = stored::trained(&run)?;
+    demand_simulator(&trained, &run)?;
     let out = ("--out", arguments.out.as_deref());
     let own = PathBuf::from("film").with_extension(format.extension());
-    let target = run_path::target(&arguments.run, out, &own, arguments.force.existing())?;
+    let target = run_path::target(&run, out, &own, arguments.force.existing())?;
     let episode = trained.episode(arguments.episode);
     let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
     let steps = steps(arguments, played.dt_secs, played.steps())?;
@@ -211,13 +214,11 @@ fn usual_start(dt_secs: f64, length: usize, span: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
     use super::*;
 
     fn arguments(frames: u32, from_secs: Option<f64>, every_secs: f64) -> FilmArguments {
         FilmArguments {
-            run: PathBuf::new(),
+            of: ChosenArguments::default(),
             episode: 0,
             still: true,
             view: None,

@@ -1,8 +1,6 @@
 //! `s2mia config` and `s2mia inspect`: the settings that a run would have, and the contents of its newest valid
 //! checkpoint.
 
-use std::path::PathBuf;
-
 use clap::Args;
 use serde_json::json;
 
@@ -10,6 +8,7 @@ use crate::config::own_task::OwnTask;
 use crate::config::run_config::RunConfig;
 use crate::config::{effect, keys, layers, presets};
 use crate::process::output;
+use crate::run::chosen::ChosenArguments;
 use crate::run::{SettingsArguments, stored};
 
 /// Prints TOML that `--config` can read again, or what the named keys mean.
@@ -62,8 +61,9 @@ fn explained(config: &RunConfig, key: &str) -> String {
 /// `s2mia inspect`
 #[derive(Args, Debug)]
 pub(crate) struct InspectArguments {
-    /// Run folder, or one of its checkpoints.
-    pub(crate) run: PathBuf,
+    /// Policies.
+    #[command(flatten)]
+    pub(crate) of: ChosenArguments,
     /// Print one JSON object.
     #[arg(long)]
     pub(crate) json: bool,
@@ -71,7 +71,7 @@ pub(crate) struct InspectArguments {
 
 /// Iteration, env steps and both hashes.
 pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
-    let loaded = stored::load(&arguments.run)?;
+    let loaded = stored::load(&arguments.of.path()?)?;
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());
     if arguments.json {

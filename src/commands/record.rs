@@ -12,6 +12,7 @@ use crate::figures::chart;
 use crate::process::output;
 use crate::process::target::ForceArguments;
 use crate::progress::WorkProgress;
+use crate::run::chosen::ChosenArguments;
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
@@ -19,8 +20,9 @@ use crate::run::{run_path, stored};
 /// `s2mia record`
 #[derive(Args, Debug)]
 pub(crate) struct RecordArguments {
-    /// Run folder, or one of its checkpoints, or a task with a trained team.
-    pub(crate) run: PathBuf,
+    /// Policies.
+    #[command(flatten)]
+    pub(crate) of: ChosenArguments,
     /// Number of whole episodes to record, from episode 0 on.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
@@ -37,12 +39,13 @@ pub(crate) struct RecordArguments {
 
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
-    let trained = stored::trained(&arguments.run)?;
+    let of = arguments.of.path()?;
+    let trained = stored::trained(&of)?;
     let out = ("--out", arguments.out.as_deref());
     let own = Path::new(LOGS).join(format!("iter_{:08}.mcap", trained.iteration));
-    let target = run_path::target(&arguments.run, out, &own, arguments.force.existing())?;
+    let target = run_path::target(&of, out, &own, arguments.force.existing())?;
     let mut hosted = RunEnvironment::of(&trained.config)?;
-    let run = recorded(arguments, &trained, &hosted)?;
+    let run = recorded(&of, &trained, &hosted)?;
     let episodes = episodes(arguments, &trained);
     let summary = target.fill(|draft| {
         played(&mut hosted, &run, &episodes, draft)
@@ -86,14 +89,14 @@ fn episodes(arguments: &RecordArguments, trained: &Trained) -> Vec<EvaluationEpi
 }
 
 fn recorded<'a>(
-    arguments: &RecordArguments,
+    of: &Path,
     trained: &'a Trained,
     hosted: &RunEnvironment,
 ) -> anyhow::Result<RecordedRun<'a>> {
     let config = &trained.config;
     let task = &hosted.environment.description().task;
     let mut metadata = stored::metadata(trained, task);
-    metadata.insert("run_id".to_owned(), run_path::name(&RunFolder::of(&arguments.run)));
+    metadata.insert("run_id".to_owned(), run_path::name(&RunFolder::of(of)));
     let task_settings = match config.environment.url.as_str() {
         "" => serde_json::to_string(&config.task).context("cannot write the task's settings")?,
         _ => String::new(),

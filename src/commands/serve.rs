@@ -17,6 +17,7 @@ use tokio::sync::watch;
 use crate::endpoints::{Listening, ServerTlsArguments};
 use crate::errors::Usage;
 use crate::process::{self, output, runtime};
+use crate::run::chosen::ChosenArguments;
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
@@ -24,8 +25,9 @@ use crate::run::{run_path, stored};
 /// `s2mia serve`
 #[derive(Args, Debug)]
 pub(crate) struct ServeArguments {
-    /// Run folder, or one of its checkpoints, or a task with a trained team.
-    pub(crate) run: PathBuf,
+    /// Policies.
+    #[command(flatten)]
+    pub(crate) of: ChosenArguments,
     /// Address on which the server listens for clients of the policies.
     #[arg(
         long,
@@ -35,7 +37,7 @@ pub(crate) struct ServeArguments {
     )]
     pub(crate) listen: SocketAddr,
     /// Load newer checkpoints of the run as they are written. An episode keeps the checkpoint that it started with.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "checkpoint")]
     pub(crate) follow: bool,
     /// TLS.
     #[command(flatten)]
@@ -45,12 +47,13 @@ pub(crate) struct ServeArguments {
 /// Serves until a signal stops it.
 pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
-    let run = ServedRun::open(&arguments.run)?;
+    let of = arguments.of.path()?;
+    let run = ServedRun::open(&of)?;
     let served = run.policies();
     if arguments.follow {
         run.follow()?;
     }
-    runtime()?.block_on(serve(&arguments.run, served, listening))
+    runtime()?.block_on(serve(&of, served, listening))
 }
 
 async fn serve(run: &Path, served: ServedPolicies, listening: Listening) -> anyhow::Result<()> {

@@ -150,6 +150,12 @@ pub(crate) fn or_newest(of: &str) -> Result<String, Usage> {
     }
 }
 
+/// The newest run of the folder `runs`, which a command uses if none is named.
+pub(crate) fn newest_run() -> anyhow::Result<PathBuf> {
+    let none = || Usage::new(format!("there is no run in ./{RUNS}; name a run folder or a task"));
+    Ok(newest(Path::new(RUNS)).ok_or_else(none)?)
+}
+
 /// All runs of the folder `runs`, in the order of their names.
 pub(crate) fn all_runs() -> Result<Vec<PathBuf>, Usage> {
     let mut found: Vec<_> = folders(Path::new(RUNS)).collect();

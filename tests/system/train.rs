@@ -4,7 +4,9 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::runs::{Runs, command, evaluated, inspect, metrics, succeeded, success, text, train};
+use crate::runs::{
+    Runs, command, evaluated, inspect, metrics, refused, succeeded, success, text, train,
+};
 
 /// Iteration and mean return of the run's last evaluation.
 fn last_evaluation(folder: &Path) -> (Value, Value) {
@@ -96,4 +98,24 @@ fn a_runs_sampled_evaluation_is_that_of_eval_with_its_seed_and_changes_no_weight
     assert_ne!(last_evaluation(&mean).1, last_evaluation(&sampled).1);
     let other = evaluated(text(&sampled), &["--episodes", "1", "--sampled", "8"]);
     assert_ne!(other["return_mean"], measured["return_mean"], "two sampling seeds");
+}
+
+#[test]
+fn the_checkpoint_with_the_best_evaluation_stays_and_is_chosen_by_name() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    train(&folder, &["run.iterations=6", "checkpoint.keep_last=1"]);
+    let run = text(&folder);
+    let mean = |line: &Value| line["mean"].as_f64().unwrap();
+    let after_training = metrics(&folder, "evaluation").into_iter().skip(1);
+    let best = after_training.max_by(|a, b| mean(a).total_cmp(&mean(b))).unwrap();
+    let measured = evaluated(run, &["--episodes", "1", "--checkpoint", "best"]);
+    assert_eq!(measured["iteration"], best["iteration"]);
+    assert_eq!(measured["return_mean"], best["mean"]);
+    let newest = evaluated(run, &["--episodes", "1", "--checkpoint", "6"]);
+    assert_eq!(newest, evaluated(run, &["--episodes", "1"]));
+    let gone = refused(&["inspect", run, "--checkpoint", "3"]);
+    assert!(gone.contains("has no checkpoint of iteration 3, only of "), "{gone}");
+    let other = refused(&["eval", run, "--checkpoint", "newest"]);
+    assert!(other.contains("name last, best or an iteration"), "{other}");
 }
