@@ -8,7 +8,7 @@ mod episode;
 use anyhow::Context as _;
 use kuva::backend::png::PngBackend;
 use kuva::render::render::{Primitive, Scene, TextAnchor};
-use sim::{EnvironmentBatch, LinkShape, Outcome, Pose, Robot};
+use sim::{Capsule, EnvironmentBatch, LinkShape, Outcome, Pose, Robot};
 use tiny_skia::{BlendMode, Color, Pixmap, PixmapPaint, Transform};
 
 use crate::film::drawing::{Camera, HEIGHT, ProjectedCapsule, WIDTH};
@@ -20,6 +20,8 @@ pub(crate) use episode::PlayedEpisode;
 /// What stays the same from frame to frame.
 pub(crate) struct RobotShapes {
     shapes: Vec<LinkShape>,
+    /// What is fixed around it, in the world.
+    fixed: Vec<Capsule>,
     /// For each link of a pose, the agent that drives its joint.
     drivers: Vec<Option<usize>>,
     agents: usize,
@@ -30,7 +32,9 @@ impl RobotShapes {
     pub(crate) fn of(world: &dyn EnvironmentBatch) -> Option<Self> {
         let description = world.description();
         let drivers = sim::drivers(description, &world.pose(0));
-        Some(Self { shapes: world.robot()?.shapes(), drivers, agents: description.agents.len() })
+        let robot = world.robot()?;
+        let (shapes, fixed) = (robot.shapes(), robot.fixed_outlines());
+        Some(Self { shapes, fixed, drivers, agents: description.agents.len() })
     }
 }
 
@@ -42,7 +46,7 @@ pub(crate) struct TimedPose<'a> {
     pub(crate) pose: &'a Pose,
 }
 
-/// The camera of each frame and what it shows, at the one scale at which all frames fit.
+/// The camera of each frame and what it shows, what is fixed first, at the one scale at which the robot fits into all frames.
 fn views(
     robot: &RobotShapes,
     frames: &[TimedPose<'_>],
@@ -55,7 +59,11 @@ fn views(
     let mut views: Vec<_> = frames.iter().map(shown).collect();
     let scales = views.iter().map(|(camera, _)| camera.pixels_per_metre);
     let pixels_per_metre = scales.fold(f32::INFINITY, f32::min);
-    views.iter_mut().for_each(|(camera, _)| camera.pixels_per_metre = pixels_per_metre);
+    let fixed = drawing::fixed(robot, view);
+    for (camera, capsules) in &mut views {
+        camera.pixels_per_metre = pixels_per_metre;
+        capsules.splice(0..0, fixed.iter().copied());
+    }
     views
 }
 

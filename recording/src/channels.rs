@@ -27,7 +27,7 @@ pub(crate) struct ShareChannels {
 
 impl ShareChannels {
     /// Creates the channels of the environment that `description` describes. `shapes` are those of its
-    /// robot, empty without one.
+    /// robot and of what is fixed around it, empty without one.
     pub(crate) fn create(
         file: &mut McapFile,
         description: &EnvironmentSpec,

@@ -8,15 +8,15 @@ pub const FILMED: u32 = 0;
 
 /// Captures the start of an episode, one frame per step.
 pub struct FilmRecorder {
-    /// Capsules in the frames of their links, and the indices of these in a pose.
-    capsules: Vec<(usize, Capsule)>,
+    /// Capsules in the frames of their links, and the indices of these in a pose; then fixed ones, in the world.
+    capsules: Vec<(Option<usize>, Capsule)>,
     film: Film,
     frames: usize,
 }
 
 impl FilmRecorder {
     /// Creates a recorder for `world` and captures the first frame; `None` without a simulated robot, or if the robot has
-    /// too many capsules for a film.
+    /// too many capsules for a film. Of what is fixed around it, as much is captured as fits.
     #[must_use]
     pub fn before(world: &dyn EnvironmentBatch) -> Option<Self> {
         let task = world.description();
@@ -26,17 +26,20 @@ impl FilmRecorder {
         }
         let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
         let shapes = world.robot().map(Robot::shapes).unwrap_or_default().into_iter();
+        let fixed = world.robot().map(Robot::fixed_capsules).unwrap_or_default().into_iter();
         let shapes = shapes.filter_map(|shape| Some((link(&shape)?, shape.capsules())));
-        let capsules: Vec<(usize, Capsule)> =
-            shapes.flat_map(|(link, all)| all.into_iter().map(move |one| (link, one))).collect();
+        let mut capsules: Vec<(Option<usize>, Capsule)> = shapes
+            .flat_map(|(link, all)| all.into_iter().map(move |one| (Some(link), one)))
+            .collect();
         if !(1..=MAX_CAPSULES).contains(&capsules.len()) {
             return None;
         }
+        capsules.extend(fixed.map(|one| (None, one)).take(MAX_CAPSULES - capsules.len()));
         let drivers = sim::drivers(task, &pose);
         let film = Film {
             frame_secs: task.dt_secs,
             radii: capsules.iter().map(|(_, capsule)| capsule.radius).collect(),
-            drivers: capsules.iter().map(|(link, _)| drivers[*link]).collect(),
+            drivers: capsules.iter().map(|(link, _)| link.and_then(|link| drivers[link])).collect(),
             ends: Vec::new(),
         };
         let mut recorder = Self { capsules, film, frames: 0 };
@@ -52,8 +55,8 @@ impl FilmRecorder {
         self.frames += 1;
         let pose = world.pose(0);
         let ends = self.capsules.iter().map(|(link, capsule)| {
-            let link = &pose.links[*link];
-            capsule.ends.map(|end| link.in_world(end))
+            let link = link.map(|link| &pose.links[link]);
+            capsule.ends.map(|end| link.map_or(end, |link| link.in_world(end)))
         });
         self.film.ends.extend(ends.flatten().flatten());
     }

@@ -32,7 +32,9 @@ pub use error::{ActionError, SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;
 pub use robot::{Actuator, Robot, Torque, one_document};
-pub use scene::{Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, drivers, rotated};
+pub use scene::{
+    Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, WORLD, drivers, rotated,
+};
 pub use simulation::environments;
 pub use state::{EpisodeDraws, State, StateBounds};
 pub use task::task_names;

@@ -3,6 +3,7 @@
 mod activation;
 mod actuator;
 mod assemble;
+mod backdrop;
 mod blueprint;
 mod convex;
 mod coupling;

@@ -5,6 +5,9 @@ use std::sync::Arc;
 use proto::EnvironmentSpec;
 use rapier3d::math::Pose as Transform;
 
+/// Name of the frame of what is fixed, instead of a link.
+pub const WORLD: &str = "world";
+
 /// Most capsules side by side in the drawing of a box.
 const MOST_BESIDE: f32 = 5.0;
 
@@ -43,10 +46,10 @@ pub struct JointPose {
     pub velocity: f32,
 }
 
-/// One shape of a link, in the link's frame.
+/// One shape of a link, in the link's frame, or of what is fixed to the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkShape {
-    /// Link that the shape is attached to.
+    /// Link that the shape is attached to, or [`WORLD`].
     pub link: String,
     /// Form and size.
     pub shape: Shape,
@@ -88,16 +91,16 @@ pub enum Shape {
         /// Semi-axes along x, y and z.
         half_sizes: [f32; 3],
     },
-    /// The convex hull of a mesh.
+    /// The convex hull of a mesh, or the top of a height field.
     Hull(Arc<Hull>),
 }
 
-/// A convex polyhedron.
+/// A convex polyhedron, or a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hull {
     /// Corners, metres.
     pub points: Vec<[f32; 3]>,
-    /// Indices of corners, anticlockwise seen from outside.
+    /// Indices of corners, anticlockwise seen from outside or above.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -170,6 +173,21 @@ impl Pose {
 }
 
 impl Shape {
+    /// Middle and half sizes of the smallest box around the shape along its axes, metres.
+    pub(crate) fn bounding_box(&self) -> [[f32; 3]; 2] {
+        let half_sizes = match *self {
+            Self::Sphere { radius } => [radius; 3],
+            Self::Capsule { half_length, radius } => [radius, radius, half_length + radius],
+            Self::Cylinder { half_length, radius } => [radius, radius, half_length],
+            Self::Box { half_sizes } | Self::Ellipsoid { half_sizes } => half_sizes,
+            Self::Hull(ref hull) => {
+                let [low, high] = hull.bounds();
+                return [1.0, -1.0].map(|sign| [0, 1, 2].map(|i| (high[i] + sign * low[i]) / 2.0));
+            }
+        };
+        [[0.0; 3], half_sizes]
+    }
+
     fn capsules(&self) -> Vec<Capsule> {
         let along = |half: f32, radius: f32| {
             vec![Capsule { ends: [[0.0, 0.0, -half], [0.0, 0.0, half]], radius }]
@@ -182,10 +200,9 @@ impl Shape {
             }
             Self::Cylinder { half_length, radius } => filled([radius, radius, half_length]),
             Self::Box { half_sizes } | Self::Ellipsoid { half_sizes } => filled(half_sizes),
-            Self::Hull(ref hull) => {
-                let [low, high] = hull.bounds();
-                let middle = [0, 1, 2].map(|i| (low[i] + high[i]) / 2.0);
-                let capsules = filled([0, 1, 2].map(|i| (high[i] - low[i]) / 2.0));
+            Self::Hull(_) => {
+                let [middle, half_sizes] = self.bounding_box();
+                let capsules = filled(half_sizes);
                 let moved = |end: [f32; 3]| [0, 1, 2].map(|i| middle[i] + end[i]);
                 capsules.into_iter().map(|c| Capsule { ends: c.ends.map(moved), ..c }).collect()
             }

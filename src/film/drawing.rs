@@ -89,6 +89,15 @@ pub(super) fn capsules(
     capsules
 }
 
+/// What is fixed around a robot. It is painted before the robot, so that it hides nothing, and has no shadow.
+pub(super) fn fixed(robot: &RobotShapes, view: ViewDirection) -> Vec<ProjectedCapsule> {
+    let capsules = robot.fixed.iter().map(|capsule| {
+        let ends = capsule.ends.map(|end| view.plane(end));
+        ProjectedCapsule { ends, shadow: ends, radius: capsule.radius, depth: 0.0, agent: None }
+    });
+    capsules.collect()
+}
+
 /// Size of a frame, pixels.
 pub(super) const WIDTH: u32 = 480;
 pub(super) const HEIGHT: u32 = 270;

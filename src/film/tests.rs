@@ -41,7 +41,8 @@ fn two_legs() -> (RobotShapes, Pose) {
         root: 0,
         joints: vec![joint("hip_left", 1), joint("hip_right", 2)],
     };
-    (RobotShapes { shapes, drivers: vec![None, Some(0), Some(1)], agents: 2 }, pose)
+    let drivers = vec![None, Some(0), Some(1)];
+    (RobotShapes { shapes, fixed: Vec::new(), drivers, agents: 2 }, pose)
 }
 
 fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {
@@ -88,6 +89,24 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
     let empty = drawing::panel(&[], &SIDE);
     assert_eq!(seen(&picture, &SIDE, [6.5, 0.5]), drawing::colour(Some(0)));
     assert_eq!(seen(&picture, &SIDE, [6.5, 0.8]), seen(&empty, &SIDE, [6.5, 0.8]));
+}
+
+#[test]
+fn what_is_fixed_is_drawn_behind_the_robot_and_does_not_change_the_scale() {
+    let (mut robot, pose) = two_legs();
+    let frame = [TimedPose { time_secs: 0.0, pose: &pose }];
+    let without = views(&robot, &frame, ViewDirection::Side).remove(0);
+    // A bar from far on the left to the right leg, nearer to the viewer than the robot.
+    robot.fixed = vec![Capsule { ends: [[0.0, -1.0, 0.5], [7.5, -1.0, 0.5]], radius: 0.05 }];
+    let with = views(&robot, &frame, ViewDirection::Side).remove(0);
+    assert_eq!(with.0.pixels_per_metre, without.0.pixels_per_metre);
+    let [with, without] = [with, without].map(|(camera, capsules)| {
+        let picture = drawing::panel(&capsules, &camera);
+        [6.5, 7.0].map(|x| seen(&picture, &camera, [x, 0.5]))
+    });
+    assert_eq!(with, [drawing::colour(Some(0)), drawing::colour(None)]);
+    assert_eq!(without[0], with[0]);
+    assert_ne!(without[1], with[1]);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, Point3, Pose, Quaternion, SceneEntity, SceneUpdate,
     SpherePrimitive, Timestamp, TriangleListPrimitive, Vector3,
 };
-use sim::{Hull, LinkShape, Shape};
+use sim::{Hull, LinkShape, Shape, WORLD};
 
 const LINK: Color = Color { r: 0.90, g: 0.56, b: 0.20, a: 1.0 };
 const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
@@ -22,7 +22,7 @@ pub(super) fn quaternion([x, y, z, w]: [f32; 4]) -> Quaternion {
     Quaternion { x: x.into(), y: y.into(), z: z.into(), w: w.into() }
 }
 
-/// Builds a scene with one entity per shape, locked to its link's frame, and the floor.
+/// Builds a scene with one entity per shape, locked to its link's frame or the world's, and the floor.
 pub(super) fn update(shapes: &[LinkShape], now: Timestamp) -> SceneUpdate {
     let mut entities = vec![floor(now)];
     entities.extend(shapes.iter().enumerate().map(|(index, shape)| entity(index, shape, now)));
@@ -58,7 +58,7 @@ fn cube(shape: &LinkShape, half_sizes: [f32; 3]) -> CubePrimitive {
     CubePrimitive {
         pose: Some(pose(shape, 0.0)),
         size: Some(vector(half_sizes.map(|half| 2.0 * half))),
-        color: Some(LINK),
+        color: Some(colour(shape)),
     }
 }
 
@@ -68,7 +68,7 @@ fn triangles(shape: &LinkShape, hull: &Hull) -> TriangleListPrimitive {
         pose: Some(pose(shape, 0.0)),
         points: hull.points.iter().copied().map(point).collect(),
         indices: hull.triangles.concat(),
-        color: Some(LINK),
+        color: Some(colour(shape)),
         ..TriangleListPrimitive::default()
     }
 }
@@ -83,7 +83,7 @@ fn floor(now: Timestamp) -> SceneEntity {
     };
     SceneEntity {
         timestamp: Some(now),
-        frame_id: "world".to_owned(),
+        frame_id: WORLD.to_owned(),
         id: "floor".to_owned(),
         frame_locked: true,
         cubes: vec![cube],
@@ -98,7 +98,7 @@ fn cylinder(shape: &LinkShape, half_length: f32, radius: f32) -> CylinderPrimiti
         size: Some(vector([width, width, length])),
         bottom_scale: 1.0,
         top_scale: 1.0,
-        color: Some(LINK),
+        color: Some(colour(shape)),
     }
 }
 
@@ -107,8 +107,13 @@ fn ellipsoid(shape: &LinkShape, along: f32, half_sizes: [f32; 3]) -> SpherePrimi
     SpherePrimitive {
         pose: Some(pose(shape, along)),
         size: Some(vector(half_sizes.map(|half| 2.0 * half))),
-        color: Some(LINK),
+        color: Some(colour(shape)),
     }
+}
+
+/// What is fixed has the floor's colour.
+fn colour(shape: &LinkShape) -> Color {
+    if shape.link == WORLD { FLOOR } else { LINK }
 }
 
 fn pose(shape: &LinkShape, along: f32) -> Pose {
@@ -168,5 +173,15 @@ mod tests {
             });
         assert_eq!((cylinders, spheres), (8, 16));
         assert!(scene.entities.iter().any(|entity| entity.id == "floor"));
+    }
+
+    #[test]
+    fn a_fixed_shape_is_in_the_frame_of_the_world_and_has_the_floors_colour() {
+        let shape = Shape::Box { half_sizes: [0.5; 3] };
+        let (position, quaternion) = ([1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]);
+        let wall = LinkShape { link: WORLD.to_owned(), shape, position, quaternion };
+        let scene = update(&[wall], Timestamp::MIN);
+        let wall = &scene.entities[1];
+        assert_eq!((wall.frame_id.as_str(), wall.cubes[0].color), ("world", Some(FLOOR)));
     }
 }

@@ -29,7 +29,7 @@ pub(crate) struct Origin {
     settings_toml: String,
     task_settings: String,
     description: EnvironmentSpec,
-    /// Shapes of the robot; empty without one.
+    /// Shapes of the robot and of what is fixed around it; empty without one.
     shapes: Vec<LinkShape>,
 }
 
@@ -88,9 +88,10 @@ impl Origin {
     }
 }
 
-/// Shapes of the simulated robot; empty for games and external environments.
+/// Shapes of the simulated robot and of what is fixed around it; empty for games and external environments.
 fn shapes(world: &dyn EnvironmentBatch) -> Vec<LinkShape> {
-    world.robot().map(Robot::shapes).unwrap_or_default()
+    let all = |robot: &Robot| [robot.shapes(), robot.fixed_shapes()].concat();
+    world.robot().map(all).unwrap_or_default()
 }
 
 /// A log file being written.

@@ -22,6 +22,28 @@ fn a_film_has_every_capsule_at_its_link_and_is_limited_in_length() {
 }
 
 #[test]
+fn what_is_fixed_follows_the_robot_in_every_frame() {
+    let mut definition = sim::TaskDefinition::example();
+    let wall =
+        "<worldbody><geom type=\"box\" conaffinity=\"1\" size=\"0.1 2 0.5\" pos=\"3 0 0.5\"/>";
+    definition.model = definition.model.replacen("<worldbody>", wall, 1);
+    let task = "hopper-2x1".to_owned();
+    let config = sim::TaskConfig { task, definition: Some(definition), ..fixture::task() };
+    let world = sim::environments(&config, 1).unwrap();
+    let mut recorder = FilmRecorder::before(&*world).unwrap();
+    recorder.capture(&*world);
+    let film = recorder.film();
+    assert_eq!((film.radii.last(), film.drivers.last()), (Some(&0.1), Some(&None)));
+    let frames: Vec<_> = film.ends.chunks(6 * film.radii.len()).collect();
+    assert_eq!(frames.len(), 2);
+    for frame in frames {
+        let bar = &frame[frame.len() - 6..];
+        let off = bar.iter().zip([3.0, 0.0, 0.1, 3.0, 0.0, 0.9]).map(|(a, b)| (a - b).abs());
+        assert!(off.fold(0.0, f32::max) < 1e-6, "{bar:?}");
+    }
+}
+
+#[test]
 fn a_game_has_no_film() {
     assert!(FilmRecorder::before(&*sim::environments(&cue(), 1).unwrap()).is_none());
 }

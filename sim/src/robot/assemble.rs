@@ -144,11 +144,10 @@ fn insert_ground(
 }
 
 fn height_field(field: &HeightField) -> SharedShape {
-    let rows = field.heights.len() / field.columns;
     let height = |row: usize, column: usize| field.heights[row * field.columns + column];
     let [x, y] = field.half_sizes;
     let scale = Vector::new(2.0 * x, 1.0, 2.0 * y);
-    let heights = Array2::from_fn(rows, field.columns, height);
+    let heights = Array2::from_fn(field.rows(), field.columns, height);
     SharedShape::heightfield_with_flags(heights, scale, HeightFieldFlags::FIX_INTERNAL_EDGES)
 }
 

@@ -1,6 +1,6 @@
 //! Contacts of a robot: the fixed shapes that it can touch, and the rules for all contacts.
 
-use rapier3d::math::Pose;
+use rapier3d::math::{Pose, Vector};
 
 use super::super::coupling::TendonPlan;
 use super::super::surface::{ContactOverride, ContactPlan, Surface};
@@ -50,6 +50,21 @@ pub(crate) struct HeightField {
     pub(crate) columns: usize,
     /// m, by rows; the first row has the largest y.
     pub(crate) heights: Vec<f32>,
+}
+
+impl HeightField {
+    /// Number of its rows.
+    pub(crate) fn rows(&self) -> usize {
+        self.heights.len() / self.columns
+    }
+
+    /// The point of a row and a column, m.
+    pub(crate) fn point(&self, row: usize, column: usize) -> Vector {
+        let [x, y] = self.half_sizes;
+        let share = |index: usize, count: usize| 2.0 * index as f32 / (count - 1) as f32 - 1.0;
+        let height = self.heights[row * self.columns + column];
+        Vector::new(x * share(column, self.columns), -y * share(row, self.rows()), height)
+    }
 }
 
 /// Rules for contacts of a whole model.

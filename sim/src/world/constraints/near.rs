@@ -39,22 +39,10 @@ pub(super) struct Near {
 impl Bounds {
     /// Bounds of a shape with the pose `pose` in the frame of its collider; the collider of a sphere is at its centre.
     pub(super) fn of_shape(shape: &Shape, pose: &Pose) -> Self {
+        let [middle, half_sizes] = shape.bounding_box().map(Vector::from_array);
         match shape {
-            Shape::Sphere { radius } => Self::Box(Pose::IDENTITY, Vector::splat(*radius)),
-            Shape::Capsule { half_length, radius } => {
-                Self::Box(*pose, Vector::new(*radius, *radius, half_length + radius))
-            }
-            Shape::Cylinder { half_length, radius } => {
-                Self::Box(*pose, Vector::new(*radius, *radius, *half_length))
-            }
-            Shape::Box { half_sizes } | Shape::Ellipsoid { half_sizes } => {
-                Self::Box(*pose, Vector::from_array(*half_sizes))
-            }
-            Shape::Hull(hull) => {
-                let [low, high] = hull.bounds().map(Vector::from_array);
-                let centre = Pose::from_parts(0.5 * (low + high), Rotation::IDENTITY);
-                Self::Box(*pose * centre, 0.5 * (high - low))
-            }
+            Shape::Sphere { .. } => Self::Box(Pose::IDENTITY, half_sizes),
+            _ => Self::Box(*pose * Pose::from_translation(middle), half_sizes),
         }
     }
 
