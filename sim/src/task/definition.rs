@@ -1,9 +1,7 @@
 //! A task file: a robot's model, agents, reward, start, end and state as data. TOML, with an MJCF file beside it.
 
 use std::collections::BTreeMap;
-use std::fmt;
 
-use rand::RngCore;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -11,8 +9,8 @@ use super::body_terms::Goal;
 use super::command::{CommandRow, Heading};
 use super::disturbance::DisturbanceRow;
 use super::relations::{RelationRow, WorldAxis};
+use super::start::StartRow;
 use crate::error::{SimError, short};
-use crate::noise;
 use crate::robot::{Neighbourhood, Orientation, Physics, RobotRow};
 use crate::spelling;
 
@@ -143,24 +141,6 @@ pub(crate) struct HealthyRow {
     pub(crate) at_most: Option<f32>,
 }
 
-/// The start of an episode: the rest pose, with other values for some coordinates and with noise.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct StartRow {
-    /// Keyframe of the model whose positions, velocities and controls replace the rest pose.
-    pub(crate) keyframe: Option<String>,
-    /// Values of coordinates instead of those of the rest pose, m or rad.
-    #[serde(default)]
-    pub(crate) coordinates: BTreeMap<String, f32>,
-    /// Noise on each coordinate, m or rad. A quaternion is normalised after it.
-    pub(crate) positions: Option<Noise>,
-    /// Noise on single coordinates instead of `positions`.
-    #[serde(default)]
-    pub(crate) noise: BTreeMap<String, Noise>,
-    /// Noise on each velocity, m/s or rad/s.
-    pub(crate) velocities: Option<Noise>,
-}
-
 /// Map from actions to controls.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -179,41 +159,6 @@ pub(crate) enum Around {
     Range,
     /// That of the keyframe of the start; without one, the control with which a servo of the position holds the start.
     Start,
-}
-
-/// A distribution around 0.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum Noise {
-    /// Uniform in plus and minus this value.
-    Uniform(f32),
-    /// Normal with this standard deviation.
-    Normal(f32),
-}
-
-impl Noise {
-    /// Draws a number.
-    pub(super) fn draw(self, rng: &mut impl RngCore) -> f32 {
-        match self {
-            Self::Uniform(width) => noise::symmetric(rng, width),
-            Self::Normal(deviation) => deviation * noise::normal(rng),
-        }
-    }
-
-    /// Half width or standard deviation.
-    pub(super) fn size(self) -> f32 {
-        match self {
-            Self::Uniform(size) | Self::Normal(size) => size,
-        }
-    }
-}
-
-/// `uniform 0.1`
-impl fmt::Display for Noise {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = if matches!(self, Self::Uniform(_)) { "uniform" } else { "normal" };
-        write!(f, "{name} {}", self.size())
-    }
 }
 
 /// Features of the global state: coordinates, positions of bodies, velocities, those of bodies, the command, contact forces, which are 0, and disturbances.

@@ -1,11 +1,16 @@
 //! The start of an episode: a pose or keyframe, and its noise.
 
+use std::collections::BTreeMap;
+use std::fmt;
+
 use rand::RngCore;
 use rapier3d::math::Vector;
+use serde::Deserialize;
 
-use super::definition::{Noise, StartRow, refused, within};
+use super::definition::{refused, within};
 use super::names::Names;
 use crate::error::SimError;
+use crate::noise;
 use crate::robot::{Keyframe, Robot};
 
 /// Largest draw of the standard normal distribution in [`crate::noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
@@ -14,6 +19,59 @@ const FARTHEST_NORMAL: f32 = 5.77;
 const LARGEST_TURN: f32 = 0.25;
 /// The same for the quaternion (1, 0, 0, 0), whose first component then stays positive.
 const LARGEST_TURN_FROM_REST: f32 = 0.5;
+
+/// The start of an episode: the rest pose, with other values for some coordinates and with noise.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct StartRow {
+    /// Keyframe of the model whose positions, velocities and controls replace the rest pose.
+    pub(crate) keyframe: Option<String>,
+    /// Values of coordinates instead of those of the rest pose, m or rad.
+    #[serde(default)]
+    pub(crate) coordinates: BTreeMap<String, f32>,
+    /// Noise on each coordinate, m or rad. A quaternion is normalised after it.
+    pub(crate) positions: Option<Noise>,
+    /// Noise on single coordinates instead of `positions`.
+    #[serde(default)]
+    pub(crate) noise: BTreeMap<String, Noise>,
+    /// Noise on each velocity, m/s or rad/s.
+    pub(crate) velocities: Option<Noise>,
+}
+
+/// A distribution around 0.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Noise {
+    /// Uniform in plus and minus this value.
+    Uniform(f32),
+    /// Normal with this standard deviation.
+    Normal(f32),
+}
+
+impl Noise {
+    /// Draws a number.
+    pub(super) fn draw(self, rng: &mut impl RngCore) -> f32 {
+        match self {
+            Self::Uniform(width) => noise::symmetric(rng, width),
+            Self::Normal(deviation) => deviation * noise::normal(rng),
+        }
+    }
+
+    /// Half width or standard deviation.
+    pub(super) fn size(self) -> f32 {
+        match self {
+            Self::Uniform(size) | Self::Normal(size) => size,
+        }
+    }
+}
+
+/// `uniform 0.1`
+impl fmt::Display for Noise {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = if matches!(self, Self::Uniform(_)) { "uniform" } else { "normal" };
+        write!(f, "{name} {}", self.size())
+    }
+}
 
 /// The start of an episode, with names resolved to indices.
 #[derive(Clone, Debug, Default)]

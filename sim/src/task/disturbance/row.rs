@@ -3,8 +3,9 @@
 use rand::RngCore;
 use serde::Deserialize;
 
-use super::super::definition::{Noise, refused, within};
+use super::super::definition::{refused, within};
 use super::super::relations::WorldAxis;
+use super::super::start::Noise;
 use crate::error::{SimError, short};
 
 /// Largest delay, steps. A state has an action or a measurement for each.
