@@ -7,7 +7,6 @@ use clap::Args;
 use learner::store::plain_file;
 use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, STARTS};
 
-use crate::config::ConfigError;
 use crate::config::keys::URL;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
@@ -58,9 +57,9 @@ fn write(recorded: &Recorded, pack: &Path) -> anyhow::Result<()> {
     ensure!(!recorded.checkpoints.is_empty(), "it has no checkpoint");
     for iteration in &recorded.checkpoints {
         let loaded = recorded.checkpoint(*iteration)?;
-        loaded.copy_to(pack, &settings(&recorded.settings_after(*iteration))?)?;
+        loaded.copy_to(pack, &packed(recorded.settings_after(*iteration)?))?;
     }
-    target::file(&pack.join(CONFIG), settings(&recorded.settings_after(0))?.as_bytes())?;
+    target::file(&pack.join(CONFIG), packed(recorded.settings_after(0)?).as_bytes())?;
     for name in [STARTS, METRICS, PROVENANCE, MANIFEST] {
         let file = recorded.folder.join(name);
         let bytes = plain_file::read(&file);
@@ -70,13 +69,13 @@ fn write(recorded: &Recorded, pack: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The settings in `file` without the run's folder and the machine of its environment.
-fn settings(file: &Path) -> Result<String, ConfigError> {
-    let mut resolved = RunConfig::of_file(file)?.resolved;
+/// The settings as TOML, without the run's folder and the machine of its environment.
+fn packed(config: RunConfig) -> String {
+    let mut resolved = config.resolved;
     resolved.set("run.dir", "", "pack");
     let url = on_this_machine(resolved.text(URL));
     resolved.set(URL, url, "pack");
-    Ok(resolved.to_toml())
+    resolved.to_toml()
 }
 
 /// The URL of an environment with the same port on the machine of whoever reads it; empty for the simulator's.

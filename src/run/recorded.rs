@@ -9,10 +9,12 @@ use learner::store::checkpoint::{self, Loaded, SETTINGS};
 use learner::store::json_lines::JsonLinesReader;
 use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, RunFolder, STARTS};
 use proto::Digest;
+use proto::name::printable;
 use serde_json::Value;
 
+use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
-use crate::run::stored::own_settings;
+use crate::run::stored::{own_settings, settings_in};
 
 /// The lines of a file by their iteration.
 pub(crate) type Lines = BTreeMap<u64, Value>;
@@ -107,11 +109,11 @@ impl Recorded {
         Ok(loaded)
     }
 
-    /// The file with the settings with which the iterations after that of a checkpoint, or after the start, were computed.
-    pub(crate) fn settings_after(&self, iteration: u64) -> PathBuf {
+    /// The settings with which the iterations after that of a checkpoint were computed; 0: those of the run.
+    pub(crate) fn settings_after(&self, iteration: u64) -> Result<RunConfig, ConfigError> {
         match iteration {
-            0 => self.folder.join(CONFIG),
-            _ => checkpoint::place(&self.folder, iteration).join(SETTINGS),
+            0 => Ok(self.config.clone()),
+            _ => settings_in(&checkpoint::place(&self.folder, iteration).join(SETTINGS)),
         }
     }
 
@@ -119,7 +121,8 @@ impl Recorded {
     pub(crate) fn builds(&self) -> anyhow::Result<BTreeSet<String>> {
         let starts = all_lines(&self.folder.join(STARTS))?;
         let build = |start: &Value| {
-            let field = |name: &str| start[name].as_str().unwrap_or("unknown").to_owned();
+            // Others may have written the file.
+            let field = |name: &str| printable(start[name].as_str().unwrap_or("unknown"));
             format!("{}+{}", field("version"), field("git_commit"))
         };
         Ok(starts.iter().chain([&self.manifest]).map(build).collect())

@@ -25,7 +25,7 @@ pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), Con
     let Err(why) = own else { return own.map(|config| (folder.join(CONFIG), config)) };
     let Ok(loaded) = learner::store::checkpoint::load_newest(folder) else { return Err(why) };
     let copy = loaded.path.join(learner::store::checkpoint::SETTINGS);
-    let config = RunConfig::of_file(&copy).map_err(|_| why.clone())?;
+    let config = settings_in(&copy).map_err(|_| why.clone())?;
     tracing::warn!("{why}; the settings in {} are used", copy.display());
     Ok((copy, config))
 }
@@ -33,11 +33,16 @@ pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), Con
 /// What `config.toml` of the run in `folder` says, which must be the settings of the run.
 pub(crate) fn own_settings(folder: &Path) -> Result<RunConfig, ConfigError> {
     let file = folder.join(CONFIG);
-    let read = match plain_file::refusal(&file) {
-        None => RunConfig::of_file(&file).map_err(|error| of_another_version(folder, error)),
-        Some(why) => Err(ConfigError::at(file.display(), why)),
-    };
+    let read = settings_in(&file).map_err(|error| of_another_version(folder, error));
     read.and_then(|config| unchanged(&file, folder, config))
+}
+
+/// The settings in a file of a run, which must be a plain file: a pipe would block.
+pub(crate) fn settings_in(file: &Path) -> Result<RunConfig, ConfigError> {
+    match plain_file::refusal(file) {
+        None => RunConfig::of_file(file),
+        Some(why) => Err(ConfigError::at(file.display(), why)),
+    }
 }
 
 /// The configuration of the run in `folder`.

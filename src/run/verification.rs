@@ -167,7 +167,7 @@ impl<'a> Verifier<'a> {
 
     /// The settings at the start of a part, for a run in `folder` on this machine.
     fn settings(&self, part: Part, folder: &Path) -> anyhow::Result<RunConfig> {
-        let own = RunConfig::of_file(&self.recorded.settings_after(part.start))?;
+        let own = self.recorded.settings_after(part.start)?;
         let mut resolved = own.resolved;
         resolved.take_machine(&RunConfig::with(&[])?.resolved);
         resolved.set("run.dir", folder.display().to_string(), "verification");
