@@ -7,6 +7,7 @@ Both are built from the workspace around this folder, by `cargo build --release`
 """
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -40,6 +41,8 @@ class Native(BuildHookInterface):
         workspace = Path(self.root).parents[1]
         if given := os.environ.get("S2MIA_BUILT"):
             return workspace / given
+        if not shutil.which("cargo"):
+            raise RuntimeError("building s2mia needs Rust and a C compiler: https://rustup.rs")
         target = workspace / "target"
         command = ["cargo", "build", "--release", "--locked", "--package=s2mia", "--package=python", f"--target-dir={target}"]
         subprocess.run(command, cwd=workspace, check=True)

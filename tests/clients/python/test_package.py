@@ -81,6 +81,18 @@ def test_the_installed_program_trains_in_an_empty_folder_and_the_package_loads_t
     assert count == "2"
 
 
+def test_the_installed_package_steps_an_environment_in_an_empty_folder(fresh, empty):
+    lines = [
+        "import s2mia",
+        "env = s2mia.parallel_env('cue-2x1', seed=1)",
+        "env.reset()",
+        "_, rewards, *_ = env.step(dict.fromkeys(env.agents, 0))",
+        "print(sorted(rewards))",
+    ]
+    assert succeed([fresh / "bin" / "python", "-I", "-c", "\n".join(lines)], empty) == "['agent_0', 'agent_1']\n"
+    assert list(empty.iterdir()) == []
+
+
 def test_the_installed_package_is_an_actor_in_an_empty_folder(fresh, serve, empty):
     learner = serve("wheel", FEW)
     told = succeed([fresh / "bin" / "python", "-I", "-m", "s2mia.actor", learner.url], empty)
