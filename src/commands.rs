@@ -79,7 +79,7 @@ pub(crate) enum Command {
     Record(record::RecordArguments),
     /// Verify trajectory logs: checksums, schemas and that every share is complete. Exit status 3: shares are missing.
     Log(log::LogArguments),
-    /// Draw a robot's motion as a strip of pictures; print its distance and signs of unphysical motion.
+    /// Show a robot's motion as GIF, video or strip of pictures; print its distance and signs of unphysical motion.
     Film(film::FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(plot::PlotArguments),
