@@ -118,6 +118,17 @@ impl Element {
         self.attributes.get(name).map(String::as_str)
     }
 
+    /// What a keyword means; that of the first one without the attribute.
+    pub(super) fn word<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Result<T, String> {
+        let word = self.text(name).unwrap_or(words[0].0);
+        let found = words.iter().find(|(known, _)| *known == word);
+        found.map(|(_, meaning)| *meaning).ok_or_else(|| {
+            let known: Vec<&str> = words.iter().map(|(known, _)| *known).collect();
+            let (word, known) = (start(word), known.join(", "));
+            self.refuse_for(name, format!("{name}=\"{word}\" is not supported; set one of {known}"))
+        })
+    }
+
     /// Error message for an attribute that names no `kind`; `known` are the names of all.
     pub(super) fn refuse_name<'a>(
         &self,

@@ -7,20 +7,18 @@ use super::context::Context;
 /// Reads the activation of an actuator; `None` if its gain multiplies the control.
 pub(super) fn read(element: &Element, context: &Context) -> Result<Option<Activation>, String> {
     let range = context.range(element, ["actrange", "actlimited"])?;
-    let kind = match element.text("dyntype").unwrap_or("none") {
-        "integrator" => ActivationKind::Integrator,
-        "filter" => ActivationKind::Filter,
-        "filterexact" => ActivationKind::ExactFilter,
-        "none" if range.is_none() => return Ok(None),
-        "none" => {
+    let kinds = [
+        ("none", None),
+        ("integrator", Some(ActivationKind::Integrator)),
+        ("filter", Some(ActivationKind::Filter)),
+        ("filterexact", Some(ActivationKind::ExactFilter)),
+    ];
+    let kind = match (element.word("dyntype", &kinds)?, range) {
+        (Some(kind), _) => kind,
+        (None, None) => return Ok(None),
+        (None, Some(_)) => {
             let reason = "an `actrange` needs an activation; remove it, or set `dyntype`";
             return Err(element.refuse_for("actrange", reason));
-        }
-        kind => {
-            let reason = format!(
-                "dyntype=\"{kind}\" is not supported; set none, integrator, filter or filterexact"
-            );
-            return Err(element.refuse_for("dyntype", reason));
         }
     };
     let time_constant_secs = element.list("dynprm")?.map_or(1.0, |numbers| numbers[0]);

@@ -243,22 +243,12 @@ impl Law {
 
 /// The law, which [`Classes`](super::super::document::Classes) state as attributes of `general`.
 fn law(element: &Element, context: &Context) -> Result<Law, String> {
-    let word = |name, default| element.text(name).unwrap_or(default);
-    if word("gaintype", "fixed") != "fixed" {
-        return Err(element.refuse_for("gaintype", "`gaintype` must be fixed; set it"));
-    }
+    element.word("gaintype", &[("fixed", ())])?;
     let mut one = [0.0; MOST_PARAMETERS];
     one[0] = 1.0;
     let gain = element.padded("gainprm", one)?[0];
     let [a, b, c, ..] = element.padded("biasprm", [0.0; MOST_PARAMETERS])?;
-    let bias = match word("biastype", "none") {
-        "none" => [0.0; 3],
-        "affine" => [a, b, c],
-        kind => {
-            let reason = format!("biastype=\"{kind}\" is not supported; set none or affine");
-            return Err(element.refuse_for("biastype", reason));
-        }
-    };
+    let bias = element.word("biastype", &[("none", [0.0; 3]), ("affine", [a, b, c])])?;
     let range = context.range(element, ["forcerange", "forcelimited"])?;
     Ok(Law { gain, bias, range: range.map(|range| range.map(|end| end as f32)) })
 }

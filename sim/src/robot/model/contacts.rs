@@ -9,10 +9,9 @@ use super::super::surface::{ContactPlan, Surface};
 use super::bodies::Body;
 use super::context::Context;
 
-const PAIR: [&str; 9] =
-    ["name", "class", "geom1", "geom2", "condim", "friction", "solref", "solimp", "margin"];
-/// `gap` has no effect on the motion.
-const SKIPPED: [&str; 1] = ["gap"];
+/// Of a pair; `gap` has no effect on the motion.
+const PAIR: [&str; 10] =
+    ["name", "class", "geom1", "geom2", "condim", "friction", "solref", "solimp", "margin", "gap"];
 
 /// Names of all shapes in pairs.
 pub(super) fn paired(root: &Element) -> BTreeSet<String> {
@@ -85,7 +84,7 @@ fn pair(
     shapes: &[(&str, Option<Surface>)],
 ) -> Result<PairPlan, String> {
     let element = context.classes.resolve(element, None)?;
-    element.only(&[&PAIR, &SKIPPED])?;
+    element.only(&[&PAIR])?;
     let known: Vec<(usize, Surface, &str)> = (0..)
         .zip(shapes)
         .filter_map(|(index, (name, surface))| Some((index, (*surface)?, *name)))

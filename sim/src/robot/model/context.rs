@@ -67,6 +67,22 @@ impl Context {
         }
     }
 
+    /// Range of a joint or tendon, with its ends in the unit and from the origin of `coordinate`, unless limits are disabled.
+    pub(super) fn limits(
+        &self,
+        element: &Element,
+        coordinate: impl Fn(f64) -> f32,
+    ) -> Result<Option<[f32; 2]>, String> {
+        let range = self.range(element, ["range", "limited"])?;
+        Ok(range.filter(|_| self.options.has_limits).map(|ends| ends.map(coordinate)))
+    }
+
+    /// Dry friction of a joint or tendon, unless it is disabled.
+    pub(super) fn friction(&self, element: &Element) -> Result<f32, String> {
+        let friction = element.number("frictionloss", 0.0)?;
+        Ok(if self.options.has_friction { friction as f32 } else { 0.0 })
+    }
+
     /// Index among `known` of the part that an attribute names. The error is empty if the document states the name, for an
     /// element that could not be read.
     pub(super) fn index<'a>(

@@ -13,7 +13,7 @@ use super::context::Context;
 use super::joints;
 use super::links::Links;
 
-const TENDON: [&str; 15] = [
+const TENDON: [&str; 21] = [
     "name",
     "class",
     "limited",
@@ -29,9 +29,14 @@ const TENDON: [&str; 15] = [
     "damping",
     "armature",
     "actuatorfrcrange",
+    "actuatorfrclimited",
+    // Without effect on the motion.
+    "group",
+    "width",
+    "material",
+    "rgba",
+    "user",
 ];
-/// Attributes without effect on the motion.
-const SEEN: [&str; 6] = ["group", "width", "material", "rgba", "user", "actuatorfrclimited"];
 const EQUALITY: [&str; 11] = [
     "name", "class", "active", "solref", "solimp", "joint1", "joint2", "tendon1", "tendon2",
     "polycoef", "user",
@@ -66,7 +71,7 @@ fn fixed(
     context: &Context,
     links: &[LinkPlan],
 ) -> Result<TendonPlan, String> {
-    tendon.only(&[&TENDON, &SEEN])?;
+    tendon.only(&[&TENDON])?;
     for name in ["armature", "actuatorfrcrange"] {
         if tendon.list(name)?.is_some_and(|numbers| numbers.iter().any(|number| *number != 0.0)) {
             return Err(tendon
@@ -91,8 +96,7 @@ fn fixed(
         return Err(tendon.refuse("it moves no joint; add a <joint> to it"));
     }
     let length = |end: f64| (end - reference) as f32;
-    let range = context.range(tendon, ["range", "limited"])?;
-    let range = range.filter(|_| context.options.has_limits).map(|ends| ends.map(length));
+    let range = context.limits(tendon, length)?;
     let number = |name: &str| joints::number(tendon, name);
     let slack = spring_length(tendon)?.map(|ends| ends.map(length));
     Ok(TendonPlan {
@@ -105,7 +109,7 @@ fn fixed(
         stiffness: number("stiffness")?,
         slack: slack.unwrap_or([at_springs; 2]),
         damping: number("damping")?,
-        friction: if context.options.has_friction { number("frictionloss")? } else { 0.0 },
+        friction: context.friction(tendon)?,
         friction_softness: joints::softness(tendon, ["solreffriction", "solimpfriction"], context)?,
     })
 }

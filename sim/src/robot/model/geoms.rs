@@ -14,11 +14,28 @@ use super::fields;
 use super::meshes::Meshes;
 use crate::scene::Shape;
 
-const KNOWN: [&str; 10] =
-    ["name", "class", "type", "size", "pos", "fromto", "mass", "density", "mesh", "shellinertia"];
-/// Attributes without effect on the motion of most shapes.
-const SKIPPED: [&str; 9] =
-    ["group", "rgba", "material", "user", "fluidshape", "fluidcoef", "hfield", "fitscale", "gap"];
+const KNOWN: [&str; 19] = [
+    "name",
+    "class",
+    "type",
+    "size",
+    "pos",
+    "fromto",
+    "mass",
+    "density",
+    "mesh",
+    "fitscale",
+    "hfield",
+    "shellinertia",
+    "fluidshape",
+    // Without effect on the motion of most shapes.
+    "fluidcoef",
+    "gap",
+    "group",
+    "material",
+    "rgba",
+    "user",
+];
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 
@@ -39,7 +56,7 @@ pub(super) struct Geom {
 impl Geom {
     /// Reads a shape that is stated in `outer`, a frame in its body.
     pub(super) fn new(element: Element, outer: Frame, context: &Context) -> Result<Self, String> {
-        let known = [&KNOWN[..], &SKIPPED, &ORIENTATIONS, &Surface::ATTRIBUTES];
+        let known = [&KNOWN[..], &ORIENTATIONS, &Surface::ATTRIBUTES];
         context.blockers.keep(element.only(&known));
         if element.flag("shellinertia")? == Some(true) {
             let reason = "`shellinertia` is not supported; state the body's `inertial`";

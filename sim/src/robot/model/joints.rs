@@ -7,7 +7,7 @@ use super::super::softness::Softness;
 use super::bodies::Body;
 use super::context::Context;
 
-const KNOWN: [&str; 20] = [
+const KNOWN: [&str; 23] = [
     "name",
     "class",
     "type",
@@ -28,8 +28,11 @@ const KNOWN: [&str; 20] = [
     "solreffriction",
     "solimpfriction",
     "actuatorfrcrange",
+    "actuatorfrclimited",
+    // Without effect on the motion.
+    "group",
+    "user",
 ];
-const SKIPPED: [&str; 3] = ["group", "user", "actuatorfrclimited"];
 /// Shortest axis that has a direction.
 const SHORTEST_AXIS: f64 = 1e-9;
 const PASSIVE: [&str; 4] = ["stiffness", "damping", "armature", "frictionloss"];
@@ -81,7 +84,7 @@ pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
             let reason = "a free joint must be the only joint of a child of the world; remove it";
             return Err(joint.0.refuse(reason));
         }
-        check(&joint.0)?;
+        joint.0.only(&[&KNOWN])?;
         let name = match joint.0.text("name") {
             Some(name) => name.to_owned(),
             None if body.joints.len() == 1 => body.name.clone(),
@@ -110,17 +113,6 @@ fn check_order(body: &Body) -> Result<(), String> {
     }
 }
 
-fn check(joint: &Element) -> Result<(), String> {
-    joint.only(&[&KNOWN, &SKIPPED])?;
-    match joint.text("type") {
-        None | Some("hinge" | "slide" | "free" | "ball") => Ok(()),
-        Some(kind) => {
-            let reason = format!("the type `{kind}` must be hinge, slide, ball or free");
-            Err(joint.refuse_for("type", reason))
-        }
-    }
-}
-
 fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, String> {
     if joint.tag == "freejoint" {
         joint.only(&[&["name", "group", "align"]])?;
@@ -129,19 +121,18 @@ fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, St
             return Err(joint.refuse_for("align", reason));
         }
     } else {
-        check(joint)?;
+        joint.only(&[&KNOWN])?;
     }
     if joint.number("stiffness", 0.0)? != 0.0 || spring_damper(joint)?.is_some() {
         let reason =
             "`stiffness` of a free joint must be 0; use <freejoint/>, or set stiffness=\"0\" here";
         return Err(joint.refuse_for("stiffness", reason));
     }
-    let friction = number(joint, "frictionloss")?;
     Ok(FreeJoint {
         name: joint.text("name").unwrap_or(&body.name).to_owned(),
         damping: number(joint, "damping")?,
         armature: number(joint, "armature")?,
-        friction: if context.options.has_friction { friction } else { 0.0 },
+        friction: context.friction(joint)?,
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
     })
 }
@@ -154,7 +145,7 @@ pub(super) fn number(joint: &Element, name: &str) -> Result<f32, String> {
 /// Joints along x and z and about y, without forces and limits, as one joint.
 fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
     let [x, z, turn] = body.joints.as_slice() else { return Ok(None) };
-    body.joints.iter().try_for_each(|(joint, _)| check(joint))?;
+    body.joints.iter().try_for_each(|(joint, _)| joint.only(&[&KNOWN]))?;
     let kinds =
         [("slide", [1.0, 0.0, 0.0]), ("slide", [0.0, 0.0, 1.0]), ("hinge", [0.0, 1.0, 0.0])];
     let (mut names, mut reference) = ([const { String::new() }; 3], [0.0; 3]);
@@ -189,11 +180,9 @@ fn ball(joint: &Element, frame: &Frame, name: String, context: &Context) -> Resu
 }
 
 fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Result<Hinge, String> {
-    let motion = match joint.text("type") {
-        Some("slide") => Motion::Translation,
-        Some("ball") => Motion::Ball,
-        _ => Motion::Rotation,
-    };
+    let motions =
+        [("hinge", Motion::Rotation), ("slide", Motion::Translation), ("ball", Motion::Ball)];
+    let motion = joint.word("type", &motions)?;
     let angle = |number: f64| match motion {
         Motion::Rotation | Motion::Ball => context.options.angles.radians(number),
         Motion::Translation => number,
@@ -212,15 +201,12 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
             rotated(frame.rotation, axis),
         ),
     };
-    let range = context.range(joint, ["range", "limited"])?;
-    let range = range.filter(|_| context.options.has_limits);
-    let range = range.map(|range| range.map(|end| (angle(end) - reference) as f32));
+    let range = context.limits(joint, |end| (angle(end) - reference) as f32)?;
     let margin = if range.is_some() { number(joint, "margin")? } else { 0.0 };
     if range.is_some_and(|[low, high]| 2.0 * margin >= high - low) {
         let reason = "`margin` must be less than half the `range`; lower it";
         return Err(joint.refuse_for("margin", reason));
     }
-    let friction = number(joint, "frictionloss")?;
     let torque_range = context.range(joint, ["actuatorfrcrange", "actuatorfrclimited"])?;
     Ok(Hinge {
         name,
@@ -236,7 +222,7 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         spring_damper: spring_damper(joint)?,
         damping: number(joint, "damping")?,
         armature: number(joint, "armature")?,
-        friction: if context.options.has_friction { friction } else { 0.0 },
+        friction: context.friction(joint)?,
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
         torque_range: torque_range.map(|ends| ends.map(|end| end as f32)),
     })

@@ -109,16 +109,9 @@ impl Meshes {
         let Some((asset, Some((mesh, _)))) = asset.map(|asset| (asset, &asset.loaded)) else {
             return Err(geom.refuse("its mesh is not loaded"));
         };
-        let volume = match asset.element.text("inertia") {
-            None | Some("legacy") => Volume::Legacy,
-            Some("exact") => Volume::Exact,
-            Some("convex") => Volume::Convex,
-            Some(kind) => {
-                return Err(asset.element.refuse(format!(
-                    "inertia=\"{kind}\" is not supported; set legacy, exact or convex"
-                )));
-            }
-        };
+        let volumes =
+            [("legacy", Volume::Legacy), ("exact", Volume::Exact), ("convex", Volume::Convex)];
+        let volume = asset.element.word("inertia", &volumes)?;
         mesh.solid_of(volume, hull).map_err(|reason| asset.element.refuse(reason))
     }
 }

@@ -125,6 +125,16 @@ const ENABLED: [&str; 3] = ["passive", "clampctrl", "actuation"];
 /// Flags without which some or all constraints do not act.
 const CONSTRAINTS: [&str; 5] = ["constraint", "contact", "equality", "frictionloss", "limit"];
 
+const MASS_SOURCES: [(&str, MassSource); 3] =
+    [("auto", MassSource::Stated), ("true", MassSource::Shapes), ("false", MassSource::Inertials)];
+/// The implicit integrators treat contacts and limits as the Euler integrator does.
+const INTEGRATORS: [(&str, Integration); 4] = [
+    ("Euler", Integration::Euler),
+    ("implicit", Integration::Euler),
+    ("implicitfast", Integration::Euler),
+    ("RK4", Integration::RungeKutta),
+];
+const CONES: [(&str, Cone); 2] = [("pyramidal", Cone::Pyramidal), ("elliptic", Cone::Elliptic)];
 /// Groups of shapes.
 const ALL_GROUPS: [i64; 2] = [0, 5];
 
@@ -193,7 +203,9 @@ impl Options {
         let options = Self {
             angles: blockers.keep(angles(&compiler)).unwrap_or_default(),
             autolimits: is_set("autolimits").unwrap_or(true),
-            mass_source: blockers.keep(mass_source(&compiler)).unwrap_or(MassSource::Stated),
+            mass_source: blockers
+                .keep(compiler.word("inertiafromgeom", &MASS_SOURCES))
+                .unwrap_or(MassSource::Stated),
             mass_groups: blockers.keep(mass_groups(&compiler)).unwrap_or(ALL_GROUPS),
             least: ["boundmass", "boundinertia"].map(|name| blockers.number(&compiler, name, 0.0)),
             total_mass: Some(blockers.number(&compiler, "settotalmass", -1.0))
@@ -205,7 +217,9 @@ impl Options {
                 Some(false) => Vector::ZERO,
                 _ => vector(gravity.unwrap_or([0.0, 0.0, -9.81])),
             },
-            integration: blockers.keep(integration(&option)).unwrap_or(Integration::Euler),
+            integration: blockers
+                .keep(option.word("integrator", &INTEGRATORS))
+                .unwrap_or(Integration::Euler),
             has_contacts: constraints && contacts,
             has_equalities: constraints && equalities,
             has_limits: constraints && limits,
@@ -283,29 +297,13 @@ fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
 }
 
 fn angles(compiler: &Element) -> Result<Angles, String> {
-    let degrees = match compiler.text("angle") {
-        None | Some("degree") => true,
-        Some("radian") => false,
-        Some(_) => return Err(compiler.refuse_for("angle", "`angle` must be degree or radian")),
-    };
+    let degrees = compiler.word("angle", &[("degree", true), ("radian", false)])?;
     let sequence = compiler.text("eulerseq").unwrap_or("xyz").to_owned();
     if sequence.len() != 3 || !sequence.chars().all(|letter| "xyzXYZ".contains(letter)) {
         let reason = "`eulerseq` must be three of the letters x, y, z, X, Y and Z";
         return Err(compiler.refuse_for("eulerseq", reason));
     }
     Ok(Angles { degrees, sequence })
-}
-
-fn mass_source(compiler: &Element) -> Result<MassSource, String> {
-    match compiler.text("inertiafromgeom") {
-        None | Some("auto") => Ok(MassSource::Stated),
-        Some("true") => Ok(MassSource::Shapes),
-        Some("false") => Ok(MassSource::Inertials),
-        Some(_) => {
-            let reason = "`inertiafromgeom` must be true, false or auto";
-            Err(compiler.refuse_for("inertiafromgeom", reason))
-        }
-    }
 }
 
 fn mass_groups(compiler: &Element) -> Result<[i64; 2], String> {
@@ -322,30 +320,9 @@ fn folder(compiler: &Element) -> String {
     compiler.text("meshdir").or(compiler.text("assetdir")).unwrap_or("").to_owned()
 }
 
-/// The implicit integrators treat contacts and limits as the Euler integrator does.
-fn integration(option: &Element) -> Result<Integration, String> {
-    match option.text("integrator") {
-        None | Some("Euler" | "implicit" | "implicitfast") => Ok(Integration::Euler),
-        Some("RK4") => Ok(Integration::RungeKutta),
-        Some(name) => {
-            let reason =
-                format!("the integrator `{name}` is not supported; set Euler, implicitfast or RK4");
-            Err(option.refuse_for("integrator", reason))
-        }
-    }
-}
-
-fn cone(option: &Element) -> Result<Cone, String> {
-    match option.text("cone") {
-        None | Some("pyramidal") => Ok(Cone::Pyramidal),
-        Some("elliptic") => Ok(Cone::Elliptic),
-        Some(_) => Err(option.refuse_for("cone", "`cone` must be pyramidal or elliptic")),
-    }
-}
-
 fn contact_rules(option: &Element, blockers: &Blockers) -> ContactRules {
     ContactRules {
-        cone: blockers.keep(cone(option)).unwrap_or(Cone::Pyramidal),
+        cone: blockers.keep(option.word("cone", &CONES)).unwrap_or(Cone::Pyramidal),
         impratio: blockers.number(option, "impratio", 1.0),
         stated: ContactOverride::default(),
         pairs: Vec::new(),

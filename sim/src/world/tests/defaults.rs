@@ -72,7 +72,9 @@ fn a_default_of_another_kind_of_actuator_is_translated_as_in_mujoco() {
         assert_eq!(law(defaults, actuator), expected, "{defaults} {actuator}");
     }
     let muscle = with_defaults("<muscle/>", ARM, "<general joint='j' ctrlrange='-1 1'/>");
-    assert!(muscle.err().unwrap().contains("`gaintype` must be fixed"));
+    assert!(
+        muscle.err().unwrap().contains("gaintype=\"muscle\" is not supported; set one of fixed")
+    );
 }
 
 #[test]

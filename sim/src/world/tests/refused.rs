@@ -189,7 +189,7 @@ fn refused_actuators_are_named_with_their_lines() {
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
             actuator("<general joint=\"j\" dyntype=\"muscle\" ctrlrange=\"0 1\"/>"),
-            "line 6, <general joint=\"j\">: dyntype=\"muscle\" is not supported; set none, integrator",
+            "line 6, <general joint=\"j\">: dyntype=\"muscle\" is not supported; set one of none, integrator",
         ),
         (
             actuator("<general joint=\"j\" dyntype=\"filter\" dynprm=\"0\" ctrlrange=\"0 1\"/>"),
