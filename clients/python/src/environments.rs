@@ -14,6 +14,9 @@ use crate::arrays::{bytes, numbers, refused};
 /// which the actions -1 and 1 are mapped.
 type Agent = (String, Vec<String>, Vec<String>, usize, Option<u32>, Vec<[f32; 2]>);
 
+/// A task: name, seconds of a step, steps of an episode, features of the global state, and the agents.
+type Task = (String, f64, u32, Vec<String>, Vec<Agent>);
+
 /// `E` environments of one task, stepped together. Arrays are bytes: little-endian f32, and truth values of one byte.
 #[pyclass(module = "s2mia._native", frozen)]
 pub(crate) struct Environments {
@@ -40,8 +43,8 @@ impl Environments {
         Ok(Self { inner: Mutex::new(inner.map_err(refused)?) })
     }
 
-    /// Name of the task, seconds of a step, steps of an episode, features of the global state, and the agents.
-    fn task(&self, py: Python<'_>) -> PyResult<(String, f64, u32, Vec<String>, Vec<Agent>)> {
+    /// The task.
+    fn task(&self, py: Python<'_>) -> PyResult<Task> {
         self.locked(py, |inner| {
             let task = inner.task();
             let agents = task.agents.iter().enumerate().map(|(index, spec)| {
