@@ -6,7 +6,7 @@ mod teams;
 
 pub use anyhow::{Error, Result};
 pub use environments::{Environments, Picture};
-pub use teams::trained;
+pub use teams::{pretrained, trained};
 use tracing_subscriber::filter::LevelFilter;
 
 use crate::process::output::{self, LogFormat};

@@ -2,20 +2,38 @@
 
 use std::path::Path;
 
+use anyhow::Context as _;
 use learner::store::run_folder::RunFolder;
 use policy::{ActorPolicy, Head, PolicySnapshot};
 use serde_json::json;
 use sim::EnvironmentBatch;
 
 use crate::run::offered::RunEnvironment;
-use crate::run::{run_path, stored};
+use crate::run::stored::{self, Trained};
+use crate::run::{pretrained, run_path};
 
 /// The newest policies of the run in a folder, or those of a checkpoint, and their description as JSON.
 ///
 /// # Errors
 /// If there is no valid checkpoint, or the settings of the run are damaged.
 pub fn trained(run: &Path) -> anyhow::Result<(PolicySnapshot, String)> {
-    let trained = stored::trained(run)?;
+    described(run, stored::trained(run)?)
+}
+
+/// The policies that come with the program for a task, and their description as JSON.
+///
+/// # Errors
+/// If there are none.
+pub fn pretrained(task: &str) -> anyhow::Result<(PolicySnapshot, String)> {
+    let trained = pretrained::of_task(task)?.with_context(|| {
+        let known = pretrained::tasks().collect::<Vec<_>>().join(", ");
+        format!("the program has no trained team for {task}; it has teams for {known}")
+    });
+    described(Path::new(task), trained?)
+}
+
+/// The policies of the run at `run`, and their description.
+fn described(run: &Path, trained: Trained) -> anyhow::Result<(PolicySnapshot, String)> {
     let config = &trained.config;
     // Another program's environment is not needed to act, so that program need not run.
     let simulated = config.environment.url.is_empty();

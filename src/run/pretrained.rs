@@ -73,14 +73,25 @@ pub fn team_record(task: &str) -> Option<&'static TeamRecord> {
 /// The team that a command's argument names; `None` if it is the path of something, or like the name of no task.
 ///
 /// # Errors
-/// The program has no team for the task, or the name is that of a team with typing errors.
+/// As of [`of_task`].
 pub(crate) fn named(run: &Path) -> anyhow::Result<Option<Trained>> {
-    let Some(name) = run.to_str().filter(|_| !run.exists()) else { return Ok(None) };
-    let tasks = TEAMS.iter().map(|(task, _)| *task);
+    run.to_str().filter(|_| !run.exists()).map_or(Ok(None), of_task)
+}
+
+/// Names of the tasks with a team.
+pub(crate) fn tasks() -> impl Iterator<Item = &'static str> {
+    TEAMS.iter().map(|(task, _)| *task)
+}
+
+/// The team for a task; `None` if the name is like that of no task.
+///
+/// # Errors
+/// The program has no team for the task, or the name is that of a team with typing errors.
+pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Trained>> {
     if let Some((task, bytes)) = TEAMS.iter().find(|(task, _)| *task == name) {
         return trained(task, bytes).map(Some);
     }
-    let why = match (sim::task_names().contains(&name), nearest(name, tasks)) {
+    let why = match (sim::task_names().contains(&name), nearest(name, tasks())) {
         (true, _) => format!(
             "the program has no trained team for {name}; train one with `s2mia train {name}` and name its folder"
         ),

@@ -6,7 +6,7 @@
     simulator.py    what these have in common
     run.py          trains with the program, and reads a run: `train`, `Run`
     settings.py     settings as keywords
-    policies.py     trained policies in this process: `load`
+    policies.py     trained policies in this process: `load`, `pretrained`
     team.py         trained policies that a server computes: `Team`
     acting.py       what both have in common
     tables.py       settings and metrics of runs as data frames: `runs`
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from s2mia.control import Client, Progress, Status
     from s2mia.learner import Learner
     from s2mia.parallel import parallel_env
-    from s2mia.policies import Policies, load
+    from s2mia.policies import Policies, load, pretrained
     from s2mia.run import Run, train
     from s2mia.single import gym_env
     from s2mia.tables import Runs, runs
@@ -57,6 +57,7 @@ __all__ = [
     "gym_env",
     "load",
     "parallel_env",
+    "pretrained",
     "runs",
     "train",
     "vector_env",
@@ -76,6 +77,7 @@ _MODULES = {
     "gym_env": "single",
     "load": "policies",
     "parallel_env": "parallel",
+    "pretrained": "policies",
     "runs": "tables",
     "train": "run",
     "vector_env": "vector",

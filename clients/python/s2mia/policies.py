@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from s2mia.error import RunError
 
 
 class Policies(Acting):
-    """The policies of a run. `load` returns them."""
+    """The policies of a run. `load` and `pretrained` return them."""
 
     def __init__(self, native: Native) -> None:
         about: dict[str, Any] = json.loads(native.description)
@@ -42,8 +43,20 @@ def load(run: str | os.PathLike[str], seed: int | None = None) -> Policies:
     Actions are means or likeliest choices; with a `seed`, they are sampled, and equal those of a served team with that
     seed. Raises `RunError` if there is no valid checkpoint.
     """
+    return _made(Native, os.fspath(run), seed)
+
+
+def pretrained(task: str, seed: int | None = None) -> Policies:
+    """The trained team that comes with the package for a task, as `load` returns one.
+
+    Raises `RunError` if there is none; its line names the nearest task.
+    """
+    return _made(Native.pretrained, task, seed)
+
+
+def _made(make: Callable[[str, int | None], Native], name: str, seed: int | None) -> Policies:
     own = checked_seed(seed)
     try:
-        return Policies(Native(os.fspath(run), own))
+        return Policies(make(name, own))
     except ValueError as error:
         raise RunError(str(error)) from None

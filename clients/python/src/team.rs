@@ -25,10 +25,15 @@ impl Team {
     /// The newest policies of the run in a folder, or those of a checkpoint. With a seed, actions are sampled.
     #[new]
     fn new(run: PathBuf, seed: Option<u64>) -> PyResult<Self> {
-        let (policy, description) = s2mia::embedded::trained(&run).map_err(refused)?;
-        let seed = seed.map(RunSeed);
-        let team = policy::Team::new(&policy, 1, seed);
-        Ok(Self { policy, seed, team, description })
+        let trained = s2mia::embedded::trained(&run).map_err(refused)?;
+        Ok(Self::sampling(trained, seed))
+    }
+
+    /// The policies that come with the program for a task.
+    #[staticmethod]
+    fn pretrained(task: &str, seed: Option<u64>) -> PyResult<Self> {
+        let trained = s2mia::embedded::pretrained(task).map_err(refused)?;
+        Ok(Self::sampling(trained, seed))
     }
 
     /// Starts an episode in each of `environments`. Another number of them than before starts anew.
@@ -65,5 +70,14 @@ impl Team {
         }
         let actions = self.team.act(&self.policy, agent, &observations);
         Ok(PyByteArray::new(py, &bytes(actions.into_iter())))
+    }
+}
+
+impl Team {
+    /// Policies and their description, in one environment; with a seed, actions are sampled.
+    fn sampling((policy, description): (PolicySnapshot, String), seed: Option<u64>) -> Self {
+        let seed = seed.map(RunSeed);
+        let team = policy::Team::new(&policy, 1, seed);
+        Self { policy, seed, team, description }
     }
 }

@@ -107,6 +107,43 @@ def test_a_team_says_what_it_is(played):
         assert "bthigh.velocity" in team.agents[0].features and team.description.dt_secs == 0.05
 
 
+def test_actions_of_different_sizes_are_padded_in_arrays_as_in_the_simulator(tmp_path):
+    s2mia_run("train", "humanoid-9x8", *ROBOT[1:], f"run.dir={tmp_path / 'run'}")
+    envs = s2mia.vector_env("humanoid-9x8", num_envs=2)
+    observations, _ = envs.reset()
+    acted, team = s2mia.load(tmp_path / "run").act(observations), s2mia.load(tmp_path / "run")
+    named = team.act({agent.name: observations[:, index] for index, agent in enumerate(team.agents)})
+    assert acted.shape == envs.action_space.shape == (2, 2, 9)
+    assert [own.shape for own in named.values()] == [(2, 9), (2, 8)]
+    assert (acted[:, 0] == named["agent_0"]).all() and (acted[:, 1, :8] == named["agent_1"]).all()
+    assert not acted[:, 1, 8].any()
+
+
+def test_a_team_that_comes_with_the_package_acts_with_the_bits_of_the_program(tmp_path, monkeypatch):
+    task = "quadruped-4x3"
+    s2mia_run("export", task, "--onnx", tmp_path / "onnx")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / task).mkdir()
+    episode, team = load_file(tmp_path / "onnx" / "episode.safetensors"), s2mia.pretrained(task)
+    assert (team.description.run, team.description.task, team.description.seed) == (task, task, 1)
+    for step in range(50):
+        acted = team.act({agent.name: episode[f"{agent.name}.observation"][step] for agent in team.agents})
+        assert all((own == episode[f"{agent}.action"][step]).all() for agent, own in acted.items())
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("quadrupet-4x3", "did you mean `quadruped-4x3`?$"),
+        ("cue-2x1", "^the program has no trained team for cue-2x1; train one with "),
+        ("zebra", "^the program has no trained team for zebra; it has teams for .*quadruped-4x3"),
+    ],
+)
+def test_a_task_without_a_team_is_refused(task, message):
+    with pytest.raises(s2mia.RunError, match=message):
+        s2mia.pretrained(task)
+
+
 def test_a_trained_team_is_paid_for_its_choices(trained):
     team, game = s2mia.load(trained), Cue()
     game.reset(0, 50, np.random.default_rng(1))
