@@ -1,6 +1,6 @@
 //! Trained teams and their description.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use learner::store::run_folder::RunFolder;
@@ -8,16 +8,22 @@ use policy::{ActorPolicy, Head, PolicySnapshot};
 use serde_json::json;
 use sim::EnvironmentBatch;
 
+use crate::errors::Usage;
+use crate::run::chosen::ChosenArguments;
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::{self, Trained};
 use crate::run::{pretrained, run_path};
 
-/// The newest policies of the run in a folder, or those of a checkpoint, and their description as JSON.
+/// The policies of the run in a folder, or those of a checkpoint's folder, and their description as JSON. `checkpoint` chooses
+/// one as the option of the commands does.
 ///
 /// # Errors
 /// If there is no valid checkpoint, or the settings of the run are damaged.
-pub fn trained(run: &Path) -> anyhow::Result<(PolicySnapshot, String)> {
-    described(run, stored::trained(run)?)
+pub fn trained(run: PathBuf, checkpoint: Option<&str>) -> anyhow::Result<(PolicySnapshot, String)> {
+    let refused = |why| Usage::new(format!("checkpoint: {why}"));
+    let checkpoint = checkpoint.map(str::parse).transpose().map_err(refused)?;
+    let path = ChosenArguments { run: Some(run), checkpoint }.path()?;
+    described(&path, stored::trained(&path)?)
 }
 
 /// The policies that come with the program for a task, and their description as JSON.

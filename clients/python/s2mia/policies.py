@@ -37,13 +37,17 @@ class Policies(Acting):
         }
 
 
-def load(run: str | os.PathLike[str], seed: int | None = None) -> Policies:
+def load(
+    run: str | os.PathLike[str], seed: int | None = None, *, checkpoint: str | int | None = None
+) -> Policies:
     """Loads the policies of a run's newest checkpoint, or of a checkpoint's folder.
 
-    Actions are means or likeliest choices; with a `seed`, they are sampled, and equal those of a served team with that
-    seed. Raises `RunError` if there is no valid checkpoint.
+    `checkpoint` is that of an iteration, or `"best"`, the one with the best evaluation. Actions are means or likeliest
+    choices; with a `seed`, they are sampled, and equal those of a served team with that seed. Raises `RunError` if there
+    is no valid checkpoint.
     """
-    return _made(Native, os.fspath(run), seed)
+    which = None if checkpoint is None else str(checkpoint)
+    return _made(lambda own: Native(os.fspath(run), own, which), seed)
 
 
 def pretrained(task: str, seed: int | None = None) -> Policies:
@@ -51,12 +55,12 @@ def pretrained(task: str, seed: int | None = None) -> Policies:
 
     Raises `RunError` if there is none; its line names the nearest task.
     """
-    return _made(Native.pretrained, task, seed)
+    return _made(lambda own: Native.pretrained(task, own), seed)
 
 
-def _made(make: Callable[[str, int | None], Native], name: str, seed: int | None) -> Policies:
+def _made(native: Callable[[int | None], Native], seed: int | None) -> Policies:
     own = checked_seed(seed)
     try:
-        return Policies(make(name, own))
+        return Policies(native(own))
     except ValueError as error:
         raise RunError(str(error)) from None

@@ -22,10 +22,10 @@ pub(crate) struct Team {
 
 #[pymethods]
 impl Team {
-    /// The newest policies of the run in a folder, or those of a checkpoint. With a seed, actions are sampled.
+    /// The policies of the run in a folder, or those of a checkpoint. With a seed, actions are sampled.
     #[new]
-    fn new(run: PathBuf, seed: Option<u64>) -> PyResult<Self> {
-        let trained = s2mia::embedded::trained(&run).map_err(refused)?;
+    fn new(run: PathBuf, seed: Option<u64>, checkpoint: Option<&str>) -> PyResult<Self> {
+        let trained = s2mia::embedded::trained(run, checkpoint).map_err(refused)?;
         Ok(Self::sampling(trained, seed))
     }
 

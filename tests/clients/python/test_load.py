@@ -134,7 +134,7 @@ def test_a_team_that_comes_with_the_package_acts_with_the_bits_of_the_program(tm
 @pytest.mark.parametrize(
     ("task", "message"),
     [
-        ("quadrupet-4x3", "did you mean `quadruped-4x3`?$"),
+        ("quadrupet-4x3", r"did you mean `quadruped-4x3`\?$"),
         ("cue-2x1", "^the program has no trained team for cue-2x1; train one with "),
         ("zebra", "^the program has no trained team for zebra; it has teams for .*quadruped-4x3"),
     ],
@@ -227,6 +227,11 @@ def test_a_damaged_checkpoint_is_refused_and_of_a_run_the_one_before_it_is_taken
     whole = policy.read_bytes()
     policy.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert s2mia.load(run).description.iteration == 1
+    assert s2mia.load(run, checkpoint=1).description.iteration == 1
+    with pytest.raises(s2mia.RunError, match="has no checkpoint of iteration 3, only of 1, 2$"):
+        s2mia.load(run, checkpoint=3)
+    with pytest.raises(s2mia.RunError, match="^checkpoint: name last, best or an iteration$"):
+        s2mia.load(run, checkpoint="newest")
     assert re.search(r"WARN \S+/iter_00000002 is damaged and skipped: ", capfd.readouterr().err)
     assert "policy.safetensors" in refused(policy.parent)
     shutil.rmtree(run / "checkpoints" / "iter_00000001")
