@@ -70,12 +70,15 @@ fn the_checkpoint_with_the_best_evaluation_stays_beside_the_newest() {
     run.1 = [(1, 3.0), (2, 7.0), (4, 5.0), (9, 100.0)].into();
     (1..=5).for_each(|iteration| drop(run.save(iteration, 2)));
     assert_eq!(names(&run.folder()), ["LATEST", "iter_00000002", "iter_00000004", "iter_00000005"]);
+    run.2 = Some(4);
+    (6..=7).for_each(|iteration| drop(run.save(iteration, 1)));
+    assert_eq!(names(&run.folder()), ["LATEST", "iter_00000002", "iter_00000004", "iter_00000007"]);
     let best = |returns: &[(u64, f64)]| {
         checkpoint::best(run.0.path(), &returns.iter().copied().collect()).unwrap()
     };
     let path = |iteration: u64| Some(run.folder().join(format!("iter_{iteration:08}")));
     assert_eq!(best(&[(1, 3.0), (2, 7.0), (4, 5.0), (9, 100.0)]), path(2));
-    assert_eq!(best(&[(4, 5.0), (5, 5.0)]), path(5));
+    assert_eq!(best(&[(4, 5.0), (7, 5.0)]), path(7));
     assert_eq!(best(&[(3, 1.0)]), None);
 }
 

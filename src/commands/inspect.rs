@@ -7,9 +7,10 @@ use serde_json::json;
 use crate::config::own_task::OwnTask;
 use crate::config::run_config::RunConfig;
 use crate::config::{effect, keys, layers, presets};
+use crate::errors::Usage;
 use crate::process::output;
 use crate::run::chosen::ChosenArguments;
-use crate::run::{SettingsArguments, stored};
+use crate::run::{SettingsArguments, pretrained, stored};
 
 /// Prints TOML that `--config` can read again, or what the named keys mean.
 pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
@@ -17,6 +18,11 @@ pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
     let keys: Vec<String> = arguments.settings.extract_if(.., |word| is_key(word)).collect();
     keys.iter().try_for_each(|key| layers::default_of(key).map(|_| ()))?;
     let config = RunConfig::of(&arguments.request())?;
+    for key in keys.iter().filter(|key| keys::weighted_term(key).is_some()) {
+        // Any weight shows whether the task has such a term.
+        arguments.settings.push(format!("{key}=1"));
+        RunConfig::of(&arguments.request())?;
+    }
     if !keys.is_empty() {
         keys.iter().for_each(|key| output::line(explained(&config, key)));
         return Ok(());
@@ -44,7 +50,8 @@ fn explained(config: &RunConfig, key: &str) -> String {
         Ok(default) if !is_weight => default.to_string(),
         _ => OF_TASK.to_owned(),
     };
-    let effect = match keys::is_semantic(key) {
+    let matters = keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
+    let effect = match matters {
         true => "part of config_sha256: another value is another run",
         false => "affects no result of the steps that are trained",
     };
@@ -71,7 +78,12 @@ pub(crate) struct InspectArguments {
 
 /// Iteration, env steps and both hashes.
 pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
-    let loaded = stored::load(&arguments.of.path()?)?;
+    let run = arguments.of.path()?;
+    if pretrained::named(&run)?.is_some() {
+        let why = "is a trained team, which has no checkpoint; `s2mia eval` shows what it can do";
+        return Err(Usage::new(format!("{} {why}", run.display())).into());
+    }
+    let loaded = stored::load(&run)?;
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());
     if arguments.json {

@@ -12,7 +12,7 @@ use learner::store::json_lines::JsonLinesReader;
 use learner::store::run_folder::{METRICS, RunFolder};
 
 use crate::errors::Usage;
-use crate::run::run_path;
+use crate::run::{pretrained, run_path};
 
 /// Trained policies.
 #[derive(Args, Clone, Debug, Default)]
@@ -62,8 +62,19 @@ impl ChosenArguments {
 
 /// A checkpoint of the run at `run`.
 fn of_run(run: &Path, which: Which) -> anyhow::Result<PathBuf> {
-    run_path::demand_records(run)?;
     let shown = run.display();
+    let leave_out = |what| Usage::new(format!("{shown} is {what}; leave out --checkpoint"));
+    if pretrained::named(run)?.is_some() {
+        return Err(leave_out("a trained team, which has no checkpoints").into());
+    }
+    if checkpoint::is_checkpoint(run) {
+        return Err(leave_out("a checkpoint itself").into());
+    }
+    run_path::demand_run(run)?;
+    let all = checkpoint::all(run)?;
+    if all.is_empty() {
+        return Err(Usage::new(format!("{shown} has no checkpoint yet")).into());
+    }
     match which {
         Which::Last => Ok(run.to_path_buf()),
         Which::Best => checkpoint::best(run, &returns(run)?)?.ok_or_else(|| {
@@ -71,7 +82,6 @@ fn of_run(run: &Path, which: Which) -> anyhow::Result<PathBuf> {
             Usage::new(format!("{shown} {why}")).into()
         }),
         Which::Iteration(iteration) => {
-            let all = checkpoint::all(run)?;
             let place = checkpoint::place(run, iteration);
             let known = all.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
             let why =

@@ -91,13 +91,15 @@ pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Trained>> {
     if let Some((task, bytes)) = TEAMS.iter().find(|(task, _)| *task == name) {
         return trained(task, bytes).map(Some);
     }
-    let why = match (sim::task_names().contains(&name), nearest(name, tasks())) {
+    let all = sim::task_names();
+    let meant = nearest(name, tasks()).or_else(|| nearest(name, all.iter().copied()));
+    let why = match (all.contains(&name), meant) {
         (true, _) => format!(
             "the program has no trained team for {name}; train one with `s2mia train {name}` and name its folder"
         ),
-        (false, Some(task)) => format!(
-            "{name} is neither a folder nor a task with a trained team; did you mean `{task}`?"
-        ),
+        (false, Some(task)) => {
+            format!("{name} is neither a folder nor a task; did you mean `{task}`?")
+        }
         (false, None) => return Ok(None),
     };
     Err(Usage::new(why).into())

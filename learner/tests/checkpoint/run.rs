@@ -22,12 +22,16 @@ pub(crate) fn checkpoint(iteration: u64) -> Checkpoint {
     Checkpoint { iteration, env_steps: iteration * 40, arrays, policy: b"a policy".to_vec() }
 }
 
-/// A run folder, and the returns of the run's evaluations.
-pub(crate) struct Run(pub(crate) tempfile::TempDir, pub(crate) BTreeMap<u64, f64>);
+/// A run folder, the returns of the run's evaluations, and the iteration of an outstanding one.
+pub(crate) struct Run(
+    pub(crate) tempfile::TempDir,
+    pub(crate) BTreeMap<u64, f64>,
+    pub(crate) Option<u64>,
+);
 
 impl Run {
     pub(crate) fn new() -> Self {
-        Self(tempfile::tempdir().unwrap(), BTreeMap::new())
+        Self(tempfile::tempdir().unwrap(), BTreeMap::new(), None)
     }
 
     pub(crate) fn with(iterations: &[u64]) -> Self {
@@ -48,7 +52,7 @@ impl Run {
         before: &mut Before<'_>,
     ) -> Result<Saved, CheckpointError> {
         let settings = RunSettings { sha256: "c0ffee", toml: "a = 1\n" };
-        let keep = Keep { newest: keep_last, returns: &self.1 };
+        let keep = Keep { newest: keep_last, returns: &self.1, outstanding: self.2 };
         checkpoint::save(self.0.path(), checkpoint, settings, &keep, before)
     }
 

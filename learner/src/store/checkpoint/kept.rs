@@ -50,7 +50,7 @@ impl Loaded {
     /// Names the file that could not be written.
     pub fn copy_to(&self, run_folder: &Path, toml: &str) -> Result<Saved, CheckpointError> {
         let settings = RunSettings { sha256: &self.manifest.config_sha256, toml };
-        let keep = Keep { newest: usize::MAX, returns: &BTreeMap::new() };
+        let keep = Keep { newest: usize::MAX, returns: &BTreeMap::new(), outstanding: None };
         save(run_folder, &self.checkpoint, settings, &keep, &mut |_, _| Ok(()))
     }
 }
@@ -92,13 +92,15 @@ pub fn is_checkpoint(path: &Path) -> bool {
     whole.is_dir() && (in_place || is_copy())
 }
 
-/// Which checkpoints stay: the newest, and the one with the best evaluation.
+/// Which checkpoints stay: the newest, the one with the best evaluation, and the one whose evaluation is outstanding.
 #[derive(Clone, Copy, Debug)]
 pub struct Keep<'a> {
     /// How many of the newest stay.
     pub newest: usize,
     /// Mean returns of evaluations, by iteration.
     pub returns: &'a BTreeMap<u64, f64>,
+    /// Iteration of the evaluation whose result is outstanding.
+    pub outstanding: Option<u64>,
 }
 
 /// The checkpoint of a run with the highest return of an evaluation; of equal ones the newest. `None` if none is evaluated.
@@ -121,9 +123,9 @@ fn best_of(iterations: &[u64], returns: &BTreeMap<u64, f64>) -> Option<u64> {
 pub(super) fn prune(folder: &Path, newest: u64, keep: &Keep<'_>) -> Result<(), CheckpointError> {
     let mut written = iterations(folder)?;
     written.retain(|iteration| *iteration <= newest);
-    let best = best_of(&written, keep.returns);
+    let stay = [best_of(&written, keep.returns), keep.outstanding];
     let old = written.into_iter().rev().skip(keep.newest);
-    for iteration in old.filter(|iteration| Some(*iteration) != best) {
+    for iteration in old.filter(|iteration| !stay.contains(&Some(*iteration))) {
         remove(folder, &name(iteration))?;
     }
     let entries = std::fs::read_dir(folder).map_err(FileError::of("read", folder))?;
