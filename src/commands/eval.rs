@@ -13,7 +13,6 @@ use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
 use crate::run::chosen::ChosenArguments;
-use crate::run::offered::RunEnvironment;
 use crate::run::stored::{self, Trained};
 
 /// `s2mia eval`
@@ -40,7 +39,7 @@ pub(crate) struct EvalArguments {
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let run = arguments.of.path()?;
     let trained = stored::trained(&run)?;
-    let mut hosted = RunEnvironment::of(&trained.config)?;
+    let mut hosted = trained.environment()?;
     let world = hosted.environment.as_mut();
     if arguments.disturbed && !world.can_be_disturbed() {
         let why = "--disturbed: the task has no [disturbance] (docs/ADDING_A_TASK.md)";

@@ -18,7 +18,6 @@ use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
 use crate::run::chosen::ChosenArguments;
-use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
 
@@ -39,7 +38,7 @@ pub(crate) struct ExportArguments {
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let trained = stored::trained(&arguments.of.path()?)?;
-    let mut hosted = RunEnvironment::of(&trained.config)?;
+    let mut hosted = trained.environment()?;
     target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();
     let files = export((&arguments.onnx, existing), &trained, hosted.environment.as_mut())?;

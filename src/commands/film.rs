@@ -56,7 +56,9 @@ pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     let own = PathBuf::from("film").with_extension(format.extension());
     let target = run_path::target(&run, out, &own, arguments.force.existing())?;
     let episode = trained.episode(arguments.episode);
-    let played = PlayedEpisode::play(&trained.config.task, &trained.policy, episode.key())?;
+    let mut hosted = trained.environment()?;
+    let world = hosted.environment.as_mut();
+    let played = PlayedEpisode::play(world, &trained.policy, episode.key())?;
     let steps = steps(arguments, played.dt_secs, played.steps())?;
     let frames: Vec<TimedPose<'_>> = steps.iter().map(|&step| played.frame(step)).collect();
     let animation = |view: Option<ViewDirection>| {

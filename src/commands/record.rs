@@ -44,7 +44,7 @@ pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let out = ("--out", arguments.out.as_deref());
     let own = Path::new(LOGS).join(format!("iter_{:08}.mcap", trained.iteration));
     let target = run_path::target(&of, out, &own, arguments.force.existing())?;
-    let mut hosted = RunEnvironment::of(&trained.config)?;
+    let mut hosted = trained.environment()?;
     let run = recorded(&of, &trained, &hosted)?;
     let episodes = episodes(arguments, &trained);
     let summary = target.fill(|draft| {

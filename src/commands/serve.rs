@@ -11,14 +11,13 @@ use learner::lease::published::Published;
 use learner::serve::service::{ServedPolicies, serve_policies};
 use learner::store::run_folder::RunFolder;
 use policy::RunSeed;
-use proto::{AgentSpec, EnvironmentSpec};
+use proto::EnvironmentSpec;
 use tokio::sync::watch;
 
 use crate::endpoints::{Listening, ServerTlsArguments};
 use crate::errors::Usage;
 use crate::process::{self, output, runtime};
 use crate::run::chosen::ChosenArguments;
-use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
 
@@ -88,10 +87,9 @@ impl ServedRun {
     /// The run has no valid checkpoint, or its environment cannot be reached.
     fn open(folder: &Path) -> anyhow::Result<Self> {
         let trained = stored::trained(folder)?;
-        let hosted = RunEnvironment::of(&trained.config)?;
+        let hosted = trained.environment()?;
         let environment = hosted.environment.description().clone();
-        let hidden = |_: &AgentSpec| trained.config.policy.hidden_size() as u32;
-        let hidden_sizes: Vec<u32> = environment.agents.iter().map(hidden).collect();
+        let hidden_sizes = trained.hidden_sizes(&environment.agents);
         let newest = Arc::new(policies(folder, &trained, &environment, &hidden_sizes)?);
         let newest = watch::Sender::new(newest);
         let agents = 0..environment.agents.len();

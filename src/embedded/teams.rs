@@ -10,7 +10,6 @@ use sim::EnvironmentBatch;
 
 use crate::errors::Usage;
 use crate::run::chosen::ChosenArguments;
-use crate::run::offered::RunEnvironment;
 use crate::run::stored::{self, Trained};
 use crate::run::{pretrained, run_path};
 
@@ -43,7 +42,7 @@ fn described(run: &Path, trained: Trained) -> anyhow::Result<(PolicySnapshot, St
     let config = &trained.config;
     // Another program's environment is not needed to act, so that program need not run.
     let simulated = config.environment.url.is_empty();
-    let hosted = simulated.then(|| RunEnvironment::of(config)).transpose()?;
+    let hosted = simulated.then(|| trained.environment()).transpose()?;
     let world = hosted.as_ref().map(|hosted| hosted.environment.as_ref());
     let spec = world.map(EnvironmentBatch::description);
     let agents = trained.policy.agents.iter().enumerate();

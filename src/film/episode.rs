@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use policy::{DrawKey, PolicySnapshot};
 use proto::ActionChoice;
 use rollout::{PlayedStep, StepEvent};
-use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, TaskConfig, World};
+use sim::{EnvironmentBatch, Outcome, Pose, World};
 
 use crate::errors::Usage;
 use crate::film::{RobotShapes, TimedPose};
@@ -27,20 +27,18 @@ pub(crate) struct PlayedEpisode {
 impl PlayedEpisode {
     /// Plays the episode that starts with `key`, with mean actions; refuses a game, which has no robot.
     pub(crate) fn play(
-        task: &TaskConfig,
+        world: &mut dyn EnvironmentBatch,
         policy: &PolicySnapshot,
         key: DrawKey,
     ) -> anyhow::Result<Self> {
-        let mut world = sim::environments(task, 1).context("cannot build the task")?;
-        world.set_disturbances(Disturbances::AsInEvaluations);
-        let Some(robot) = RobotShapes::of(&*world) else {
-            let why = format!("{} is a game: there is nothing to draw", task.task);
+        let Some(robot) = RobotShapes::of(world) else {
+            let why = format!("{} is a game: there is nothing to draw", world.description().task);
             return Err(Usage::new(why).into());
         };
         let dt_secs = world.description().dt_secs;
         let (mut moments, mut end) = (Vec::new(), Outcome::default());
         let start = (key, ActionChoice::Mean);
-        let episode = rollout::play_episode(&mut *world, policy, start, |event| match event {
+        let episode = rollout::play_episode(world, policy, start, |event| match event {
             StepEvent::Before(0, world) => moments.push(Moment::of(world)),
             StepEvent::Before(..) => {}
             StepEvent::After(step) => {

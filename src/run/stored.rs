@@ -4,17 +4,19 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow, ensure};
+use learner::lease::published;
 use learner::store::checkpoint::{CheckpointError, Loaded};
 use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder};
 use learner::store::{checkpoint, plain_file};
 use policy::{PolicySnapshot, RunSeed};
-use proto::{Digest, PolicyVersion, WeightsName};
+use proto::{AgentSpec, Digest, PolicyVersion, WeightsName};
 use rollout::EvaluationEpisode;
 
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
 use crate::process::shell;
+use crate::run::offered::RunEnvironment;
 use crate::run::pretrained;
 use crate::run::run_path::demand_run;
 
@@ -71,6 +73,20 @@ impl Trained {
     pub(crate) fn episode(&self, index: u32) -> EvaluationEpisode {
         EvaluationEpisode { seed: RunSeed(self.config.run.seed), iteration: self.iteration, index }
     }
+
+    /// The environment of the run; refuses one with other agents or sizes than those of the policies.
+    pub(crate) fn environment(&self) -> anyhow::Result<RunEnvironment> {
+        let hosted = RunEnvironment::of(&self.config)?;
+        let agents = &hosted.environment.description().agents;
+        published::demand_sizes(&self.policy, agents, &self.hidden_sizes(agents))
+            .map_err(|why| anyhow!("the policies are not for the run's environment: {why}"))?;
+        Ok(hosted)
+    }
+
+    /// Sizes of the recurrent states of these agents in the run.
+    pub(crate) fn hidden_sizes(&self, agents: &[AgentSpec]) -> Vec<u32> {
+        vec![self.config.policy.hidden_size() as u32; agents.len()]
+    }
 }
 
 /// Loads the newest checkpoint with correct hashes, or the checkpoint at `run`; refuses a run without any.
@@ -104,7 +120,8 @@ pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
         return Ok(team);
     }
     let loaded = load(run)?;
-    let config = config_of_run(run)?;
+    let (file, config) = settings_of_run(run)?;
+    demand_own_checkpoint(run, &loaded, (&file, &config))?;
     let policy = PolicySnapshot::from_bytes(&loaded.checkpoint.policy)
         .with_context(|| format!("cannot read the policy in {}", loaded.path.display()))?;
     let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);
@@ -125,6 +142,30 @@ pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String
         ("env_steps".to_owned(), trained.env_steps.to_string()),
         ("config_sha256".to_owned(), trained.config_sha256.clone()),
     ])
+}
+
+/// Refuses a checkpoint with other settings than those in the file at `run`, or than those of the run around it.
+fn demand_own_checkpoint(
+    run: &Path,
+    loaded: &Loaded,
+    (file, config): (&Path, &RunConfig),
+) -> anyhow::Result<()> {
+    let folder = RunFolder::of(run);
+    let manifest = RunFolder::recorded(&folder).unwrap_or_default();
+    let recorded = manifest["config_sha256"].as_str().map(str::to_owned);
+    let resolved = policy::arrays::hex(&config.resolved.sha256());
+    let own = &loaded.manifest.config_sha256;
+    for (place, expected) in [(file, Some(resolved)), (&folder.join(MANIFEST), recorded)] {
+        let expected = expected.as_ref().unwrap_or(own);
+        ensure!(
+            expected == own,
+            "the settings of the checkpoint {} have the SHA-256 {own}, those of {} have {expected}: it belongs to another run, or \
+             another version of the program made the run",
+            loaded.path.display(),
+            place.display()
+        );
+    }
+    Ok(())
 }
 
 /// Refuses settings with another hash than the run's manifest records.

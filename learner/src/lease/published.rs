@@ -36,29 +36,41 @@ impl Published {
         hidden_sizes: &[u32],
     ) -> Result<Self, String> {
         let policy = PolicySnapshot::from_bytes(&bytes).map_err(|error| error.to_string())?;
-        let sizes = |policy: &ActorPolicy| {
-            let choices = match policy.head() {
-                Head::Categorical { choices } => Some(choices),
-                Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => None,
-            };
-            (policy.observation_size(), policy.action_size(), choices, policy.hidden_size())
-        };
-        let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();
-        let expected = agents.iter().zip(hidden_sizes).map(|(agent, hidden)| {
-            let choices = agent.action.choices.map(|choices| choices as usize);
-            (agent.observation.len(), agent.action.size, choices, *hidden as usize)
-        });
-        let expected = expected.collect::<Vec<_>>();
-        if found != expected {
-            return Err(format!(
-                "the agents' (observation, action, choices, hidden) sizes are {found:?}, the run has \
-                 {expected:?}"
-            ));
-        }
+        demand_sizes(&policy, agents, hidden_sizes)?;
         let repeats = repeats(&bytes).map_err(|error| error.to_string())?;
         let digest = Digest(policy::digest(&bytes));
         Ok(Self { name: WeightsName { version, digest }, bytes, repeats, policy })
     }
+}
+
+/// Compares the sizes of policies with those of the team, whose recurrent states have `hidden_sizes`.
+///
+/// # Errors
+/// Says both sides' sizes.
+pub fn demand_sizes(
+    policy: &PolicySnapshot,
+    agents: &[AgentSpec],
+    hidden_sizes: &[u32],
+) -> Result<(), String> {
+    let sizes = |policy: &ActorPolicy| {
+        let choices = match policy.head() {
+            Head::Categorical { choices } => Some(choices),
+            Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => None,
+        };
+        (policy.observation_size(), policy.action_size(), choices, policy.hidden_size())
+    };
+    let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();
+    let expected = agents.iter().zip(hidden_sizes).map(|(agent, hidden)| {
+        let choices = agent.action.choices.map(|choices| choices as usize);
+        (agent.observation.len(), agent.action.size, choices, *hidden as usize)
+    });
+    let expected = expected.collect::<Vec<_>>();
+    if found == expected {
+        return Ok(());
+    }
+    Err(format!(
+        "the agents' (observation, action, choices, hidden) sizes are {found:?}, the run has {expected:?}"
+    ))
 }
 
 /// Published versions that are still held.

@@ -144,6 +144,15 @@ def test_a_task_without_a_team_is_refused(task, message):
         s2mia.pretrained(task)
 
 
+def test_the_checkpoints_of_another_run_are_refused(trained, tmp_path):
+    other = tmp_path / "other"
+    s2mia_run("train", *ROBOT, f"run.dir={other}")
+    shutil.rmtree(other / "checkpoints")
+    shutil.copytree(trained / "checkpoints", other / "checkpoints")
+    with pytest.raises(s2mia.RunError, match="it belongs to another run"):
+        s2mia.load(other)
+
+
 def test_a_trained_team_is_paid_for_its_choices(trained):
     team, game = s2mia.load(trained), Cue()
     game.reset(0, 50, np.random.default_rng(1))
