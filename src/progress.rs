@@ -332,7 +332,13 @@ mod tests {
     fn an_evaluation_is_told_with_its_spread() {
         let spread =
             Spread { mean: 812.44, standard_deviation: 33.1, minimum: 760.0, maximum: 866.0 };
-        let report = EvaluationReport { iteration: 25, env_steps: 100_000, spread, episodes: 10 };
+        let report = EvaluationReport {
+            iteration: 25,
+            env_steps: 100_000,
+            spread,
+            episodes: 10,
+            sampled: false,
+        };
         assert_eq!(
             notice(&Event::Evaluation(report)).as_deref(),
             Some("evaluation at 100,000 steps: return 812.4 ± 33.1 (760.0 to 866.0, 10 episodes)")

@@ -2,6 +2,7 @@
 //! provenance and metrics, and its checkpoints belong together, and nothing of them is missing or changed.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
@@ -30,9 +31,9 @@ pub(crate) struct Recorded {
     pub(crate) config: RunConfig,
     /// The lines of `provenance.jsonl`, of every iteration from 1 on.
     pub(crate) provenance: Lines,
-    /// The lines of iterations in `metrics.jsonl`, of all those at least.
+    /// The lines of iterations in `metrics.jsonl`, of the same ones.
     pub(crate) metrics: Lines,
-    /// The lines of evaluations in `metrics.jsonl`.
+    /// The lines of evaluations in `metrics.jsonl`, of none after those iterations.
     pub(crate) evaluations: Lines,
     /// Iterations of the checkpoints from 1 on, ascending.
     pub(crate) checkpoints: Vec<u64>,
@@ -52,12 +53,16 @@ impl Recorded {
         let config = own_settings(folder)?;
         let file = folder.join(PROVENANCE);
         let provenance = of_kind(&file, &lines(&file)?, "iteration")?;
-        demand_whole(&file, &provenance, last(&provenance))?;
+        let last = last(&provenance);
+        demand_whole(&file, &provenance, last)?;
         let file = folder.join(METRICS);
         let lines = lines(&file)?;
         let metrics = of_kind(&file, &lines, "iteration")?;
-        demand_whole(&file, &metrics, last(&provenance))?;
+        demand_whole(&file, &metrics, last)?;
         let evaluations = of_kind(&file, &lines, "evaluation")?;
+        demand_only(&file, &evaluations, 0..=last)?;
+        let others = lines.len() - metrics.len() - evaluations.len();
+        ensure!(others == 0, "{} has {others} lines of no known kind", file.display());
         let mut checkpoints = checkpoint::all(folder)?;
         // That of iteration 0 holds no more than the seed.
         checkpoints.retain(|iteration| *iteration > 0);
@@ -117,6 +122,11 @@ impl Recorded {
         }
     }
 
+    /// Whether the learner of the run started more than once.
+    pub(crate) fn is_resumed(&self) -> anyhow::Result<bool> {
+        Ok(all_lines(&self.folder.join(STARTS))?.len() > 1)
+    }
+
     /// Versions and commits of the programs that computed the run.
     pub(crate) fn builds(&self) -> anyhow::Result<BTreeSet<String>> {
         let starts = all_lines(&self.folder.join(STARTS))?;
@@ -161,10 +171,22 @@ fn of_kind(file: &Path, lines: &[Value], kind: &str) -> anyhow::Result<Lines> {
     Ok(found)
 }
 
-/// Refuses lines of which an iteration up to `last` is missing.
+/// Refuses lines other than those of the iterations 1 to `last`, and if one of them is missing.
 fn demand_whole(file: &Path, lines: &Lines, last: u64) -> anyhow::Result<()> {
     match (1..=last).find(|iteration| !lines.contains_key(iteration)) {
         Some(lost) => anyhow::bail!("{} has no line of iteration {lost}", file.display()),
+        None => demand_only(file, lines, 1..=last),
+    }
+}
+
+/// Refuses lines of iterations that the run has not.
+fn demand_only(file: &Path, lines: &Lines, known: RangeInclusive<u64>) -> anyhow::Result<()> {
+    match lines.keys().find(|iteration| !known.contains(iteration)) {
+        Some(other) => anyhow::bail!(
+            "{} has a line of iteration {other}, {PROVENANCE} has iterations 1 to {}; if a crash left it, a resume removes it",
+            file.display(),
+            known.end()
+        ),
         None => Ok(()),
     }
 }

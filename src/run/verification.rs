@@ -1,7 +1,9 @@
 //! Computes parts of a run again, each from the seed or from a checkpoint, by training in a temporary folder, and compares the
 //! results with those that the run recorded.
 
-use std::collections::BTreeMap;
+mod lines;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{BuildHasher as _, RandomState};
 use std::path::{Path, PathBuf};
 
@@ -17,23 +19,10 @@ use tokio::sync::watch;
 
 use crate::config::run_config::RunConfig;
 use crate::process::{self, output, runtime};
-use crate::run::recorded::{Lines, Recorded};
+use crate::run::recorded::Recorded;
 use crate::run::run_path::Others;
+use crate::run::verification::lines::{has_other_settings, same};
 use crate::run::{self, BUILD, PreparedRun, session};
-
-/// Fields that depend on time, connections and disks, or on how slots were cut and leased.
-const INCIDENTAL: [&str; 10] = [
-    "slots",
-    "iteration_secs",
-    "rollout_secs",
-    "update_secs",
-    "density_secs",
-    "env_steps_per_sec",
-    "actors",
-    "messages_refused",
-    "leases_reissued",
-    "checkpoints_failed",
-];
 
 /// Iterations of a run that one start computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +40,9 @@ pub(crate) struct Confirmed {
     pub(crate) weights_sha256: String,
     /// Mean return of each evaluation, by its iteration.
     pub(crate) evaluations: BTreeMap<u64, f64>,
+    /// Iterations of recorded evaluations that the settings of the part do not make. There are none if no resume may have changed
+    /// them.
+    pub(crate) uncompared: BTreeSet<u64>,
 }
 
 impl Part {
@@ -103,6 +95,8 @@ pub(crate) fn chosen(parts: Vec<Part>, count: u64) -> Vec<Part> {
 /// Computes parts of a run again.
 pub(crate) struct Verifier<'a> {
     recorded: &'a Recorded,
+    /// Whether a resume may have changed the settings of evaluations.
+    is_resumed: bool,
     runtime: Runtime,
     stop: (watch::Sender<bool>, watch::Receiver<bool>),
 }
@@ -113,7 +107,7 @@ impl<'a> Verifier<'a> {
         let (runtime, stop) = (runtime()?, watch::channel(false));
         let announce = || output::error("stopping");
         runtime.block_on(async { process::stop_on_signal(stop.0.clone(), announce) })?;
-        Ok(Self { recorded, runtime, stop })
+        Ok(Self { recorded, is_resumed: recorded.is_resumed()?, runtime, stop })
     }
 
     /// Computes a part; `reached` is called with each finished iteration.
@@ -201,18 +195,52 @@ impl<'a> Verifier<'a> {
             }
         }
         self.compare_checkpoints(part, found)?;
-        let mut evaluations = BTreeMap::new();
-        for (iteration, line) in &found.evaluations {
-            if recorded.evaluations.contains_key(iteration) {
-                let lines = (*iteration, &recorded.evaluations, &found.evaluations);
-                same(METRICS, "the evaluation of iteration", lines).map_err(|why| {
-                    anyhow!("{why}; a resume that changed evaluation.* would explain it")
-                })?;
-                evaluations.insert(*iteration, line["mean"].as_f64().unwrap_or(f64::NAN));
+        let weights = found.provenance[&part.end]["weights_sha256"].as_str().unwrap_or_default();
+        let mut confirmed = Confirmed {
+            weights_sha256: weights.to_owned(),
+            evaluations: BTreeMap::new(),
+            uncompared: BTreeSet::new(),
+        };
+        self.compare_evaluations(part, found, &mut confirmed)?;
+        Ok(confirmed)
+    }
+
+    /// Compares the recorded evaluations of a part's iterations, and the others that were found.
+    fn compare_evaluations(
+        &self,
+        part: Part,
+        found: &Recorded,
+        confirmed: &mut Confirmed,
+    ) -> anyhow::Result<()> {
+        // That of the policies of the first checkpoint belongs to the part before it.
+        let first = if part.start == 0 { 0 } else { part.start + 1 };
+        let (recorded, found) = (&self.recorded.evaluations, &found.evaluations);
+        for (iteration, old) in recorded {
+            let is_of_part = (first..=part.end).contains(iteration);
+            match found.get(iteration) {
+                None if !is_of_part => {}
+                None if self.is_resumed => {
+                    confirmed.uncompared.insert(*iteration);
+                }
+                None => anyhow::bail!(
+                    "{METRICS} has an evaluation of iteration {iteration}, the settings of the run make none"
+                ),
+                Some(new) if self.is_resumed && has_other_settings(old, new) => {
+                    confirmed.uncompared.insert(*iteration);
+                }
+                Some(new) => {
+                    let lines = (*iteration, recorded, found);
+                    let compared = same(METRICS, "the evaluation of iteration", lines);
+                    // Such a line does not say all its settings.
+                    let hint = (self.is_resumed && old["sampled"].is_null())
+                        .then_some("; a resume that changed evaluation.sampled would explain it");
+                    compared.map_err(|why| anyhow!("{why}{}", hint.unwrap_or_default()))?;
+                    let mean = new["mean"].as_f64().unwrap_or(f64::NAN);
+                    confirmed.evaluations.insert(*iteration, mean);
+                }
             }
         }
-        let weights = found.provenance[&part.end]["weights_sha256"].as_str().unwrap_or_default();
-        Ok(Confirmed { weights_sha256: weights.to_owned(), evaluations })
+        Ok(())
     }
 
     /// Compares the policies of the first checkpoint of a part with those that its weights make, and its last checkpoint, if the
@@ -266,26 +294,6 @@ impl<'a> Verifier<'a> {
     }
 }
 
-/// Compares the lines of an iteration in a file, but for what is incidental.
-fn same(
-    file: &str,
-    kind: &str,
-    (iteration, recorded, found): (u64, &Lines, &Lines),
-) -> anyhow::Result<()> {
-    let lines = [recorded, found].map(|lines| lines.get(&iteration).cloned().unwrap_or_default());
-    let [old, new] = &lines;
-    let fields = lines.iter().filter_map(Value::as_object).flat_map(|line| line.keys());
-    let mut relevant = fields.filter(|field| !INCIDENTAL.contains(&field.as_str()));
-    match relevant.find(|field| old[field] != new[field]) {
-        None => Ok(()),
-        Some(field) => anyhow::bail!(
-            "{kind} {iteration} has {field} {}, {file} has {}",
-            new[field],
-            old[field]
-        ),
-    }
-}
-
 /// A temporary folder that is removed with this value.
 struct Scratch(PathBuf);
 
@@ -309,8 +317,6 @@ impl Drop for Scratch {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     fn part(start: u64, end: u64) -> Part {
@@ -337,22 +343,5 @@ mod tests {
         let whole = [part(0, 800), part(800, 900), part(900, 1000), part(1000, 1001)];
         assert_eq!(chosen(5000), whole);
         assert_eq!(super::chosen(vec![part(0, 3)], 2), [part(0, 2)]);
-    }
-
-    #[test]
-    fn lines_differ_by_any_field_but_those_of_time_and_place() {
-        let line = json!({"iteration": 3, "loss": 0.5, "iteration_secs": 1.0, "slots": []});
-        let compared = |field: &str, value: Value| {
-            let mut other = line.clone();
-            other[field] = value;
-            let of = |line: &Value| Lines::from([(3, line.clone())]);
-            same(METRICS, "iteration", (3, &of(&line), &of(&other))).map_err(|why| why.to_string())
-        };
-        assert_eq!(compared("iteration_secs", json!(2.0)), Ok(()));
-        assert_eq!(compared("slots", json!([1])), Ok(()));
-        let difference = "iteration 3 has loss 0.25, metrics.jsonl has 0.5";
-        assert_eq!(compared("loss", json!(0.25)), Err(difference.to_owned()));
-        let difference = "iteration 3 has more 1, metrics.jsonl has null";
-        assert_eq!(compared("more", json!(1)), Err(difference.to_owned()));
     }
 }

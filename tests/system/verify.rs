@@ -10,7 +10,8 @@ use serde_json::Value;
 use crate::cue_service::{CueService, Faults};
 use crate::roles::another_build;
 use crate::runs::{
-    Runs, command, evaluated, failed, inspect, refused, succeeded, success, text, tiny, train,
+    Runs, SHORT, command, evaluated, failed, inspect, metrics, refused, succeeded, success, text,
+    tiny, train,
 };
 
 /// A run of six iterations of 80 steps: with checkpoints after 2, 4 and 6, and evaluations there and at the start.
@@ -95,7 +96,7 @@ fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_fo
             "equal: iterations 5 to 6 from the checkpoint of iteration 4, weights_sha256 ",
             "equal: policies of the checkpoint of iteration 6\n",
             "equal: evaluation after iteration 6, return ",
-            "is verified: 6 of its 6 iterations and 4 evaluations have the recorded results",
+            "is verified: 6 of its 6 iterations and 4 of its 4 evaluations have the recorded results",
         ] {
             assert!(told.contains(part), "{part} is not in:\n{told}");
         }
@@ -166,6 +167,93 @@ fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
     let line = doubted(&folder, 1);
     assert!(line.contains("the policies in the checkpoint of iteration 6 have"), "{line}");
     assert!(line.contains("its weights make"), "{line}");
+}
+
+/// Adds a copy of the last line of this kind in `metrics.jsonl`, for another iteration.
+fn invent(run: &Path, kind: &str, iteration: u64) {
+    let mut line = metrics(run, kind).pop().unwrap();
+    line["iteration"] = iteration.into();
+    let file = run.join("metrics.jsonl");
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(&file, format!("{text}{line}\n")).unwrap();
+}
+
+#[test]
+fn an_invented_iteration_or_evaluation_is_found_in_one_line() {
+    let runs = Runs::new();
+    let run = runs.folder("run");
+    train(&run, &[SIX]);
+    for (kind, iteration, part) in [
+        ("iteration", 7, "has a line of iteration 7, provenance.jsonl has iterations 1 to 6"),
+        ("iteration", 0, "has a line of iteration 0,"),
+        ("evaluation", 7, "has a line of iteration 7,"),
+        ("evaluation", 5, "has an evaluation of iteration 5, the settings of the run make none"),
+    ] {
+        let folder = copy(&run, runs.folder(&format!("{kind}-{iteration}")));
+        invent(&folder, kind, iteration);
+        let line = doubted(&folder, 6);
+        assert!(line.contains(part), "{line}");
+    }
+    let folder = copy(&run, runs.folder("other"));
+    let first = |line: &Value| line["kind"] == "evaluation" && line["iteration"] == 0;
+    change(&folder.join("metrics.jsonl"), first, |line| line["kind"] = "other".into());
+    assert!(doubted(&folder, 1).contains("metrics.jsonl has 1 lines of no known kind"));
+}
+
+#[test]
+fn evaluations_that_the_settings_after_a_resume_do_not_make_are_counted_and_not_compared() {
+    for (setting, made, left) in [
+        // The settings of the first part are those of the folder.
+        ("evaluation.episodes=3", 4, 0),
+        ("evaluation.sampled=true", 4, 0),
+        // The checkpoint of iteration 4 has the settings before the resume.
+        ("evaluation.every_steps=80", 5, 5),
+    ] {
+        let runs = Runs::new();
+        let folder = runs.folder("run");
+        train(&folder, &["run.iterations=4"]);
+        succeeded(&["train", "--resume", text(&folder), SIX, setting]);
+        let told = succeeded(&whole(&folder));
+        let line = format!("not compared: evaluation after iteration {left}, which other");
+        assert!(told.contains(&line), "{setting}: {told}");
+        let last = format!(
+            "6 of its 6 iterations and {} of its {made} evaluations have the recorded results; 1 not compared, as the run was \
+             resumed\n",
+            made - 1
+        );
+        assert!(told.ends_with(&last), "{setting}: {told}");
+    }
+}
+
+#[test]
+fn a_run_with_the_checkpoints_of_another_is_refused_in_one_line() {
+    let runs = Runs::new();
+    let (run, other, mixed) = (runs.folder("run"), runs.folder("other"), runs.folder("mixed"));
+    train(&run, &SHORT);
+    success(&mut command(&[
+        "train",
+        "cue-2x1",
+        "run.iterations=1",
+        "evaluation.every_steps=0",
+        &format!("run.dir={}", text(&other)),
+    ]));
+    copy(&run, mixed.clone());
+    fs::remove_dir_all(mixed.join("checkpoints")).unwrap();
+    copy(&other.join("checkpoints"), mixed.join("checkpoints"));
+    let checkpoint = mixed.join("checkpoints/iter_00000001");
+    let onnx = runs.folder("onnx");
+    for path in [&mixed, &checkpoint] {
+        for arguments in [
+            &["eval", text(path)][..],
+            &["film", text(path)],
+            &["record", text(path)],
+            &["export", text(path), "--onnx", text(&onnx)],
+            &["serve", text(path), "--listen=127.0.0.1:0"],
+        ] {
+            let line = failed(arguments, 1);
+            assert!(line.contains("it belongs to another run"), "{arguments:?}: {line}");
+        }
+    }
 }
 
 #[test]
@@ -244,7 +332,7 @@ fn a_pack_is_verified_and_used_without_its_run_and_has_no_secret_and_no_path_of_
 
     fs::remove_dir_all(&run).unwrap();
     let told = succeeded(&whole(&pack));
-    assert!(told.contains("6 of its 6 iterations and 4 evaluations"), "{told}");
+    assert!(told.contains("6 of its 6 iterations and 4 of its 4 evaluations"), "{told}");
     assert_eq!(inspect(&pack), whole_run);
     assert_eq!(evaluated(text(&pack), &["--episodes", "1"]), played);
     succeeded(&["film", text(&pack), "--frames", "1"]);

@@ -48,6 +48,8 @@ pub struct EvaluationReport {
     pub spread: Spread,
     /// Number of episodes.
     pub episodes: usize,
+    /// Whether actions were sampled instead of means or likeliest choices.
+    pub sampled: bool,
 }
 
 /// A checkpoint on disk.

@@ -160,7 +160,8 @@ mod tests {
         let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
         for iteration in [0, 2, 4] {
             let env_steps = iteration * 40;
-            let evaluation = EvaluationReport { iteration, env_steps, spread, episodes: 10 };
+            let evaluation =
+                EvaluationReport { iteration, env_steps, spread, episodes: 10, sampled: false };
             metrics.evaluation(&evaluation).unwrap();
             metrics.iteration(&report(iteration + 1)).unwrap();
         }

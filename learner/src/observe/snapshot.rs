@@ -195,7 +195,13 @@ mod tests {
     fn evaluation(iteration: u64) -> Event {
         let spread = Spread { mean: 10.0, standard_deviation: 1.0, minimum: 9.0, maximum: 11.0 };
         let env_steps = iteration * 4000;
-        Event::Evaluation(EvaluationReport { iteration, env_steps, spread, episodes: 2 })
+        Event::Evaluation(EvaluationReport {
+            iteration,
+            env_steps,
+            spread,
+            episodes: 2,
+            sampled: false,
+        })
     }
 
     fn iterations(lines: &[RunLine]) -> Vec<u64> {

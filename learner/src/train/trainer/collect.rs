@@ -77,6 +77,7 @@ impl RunningTrainer {
             env_steps: self.trainer.steps_after(iteration),
             spread: Spread::of(returns),
             episodes: outcome.episodes.len(),
+            sampled: self.trainer.launch.config.evaluation.sampled,
         };
         self.trainer.metrics.evaluation(&report)?;
         self.trainer.evaluations.end(iteration, report.spread.mean);

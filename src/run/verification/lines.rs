@@ -1,0 +1,91 @@
+//! Compares lines of a run's records with those that were computed again.
+
+use serde_json::Value;
+
+use crate::run::recorded::Lines;
+
+/// Fields that depend on time, connections and disks, or on how slots were cut and leased.
+const INCIDENTAL: [&str; 10] = [
+    "slots",
+    "iteration_secs",
+    "rollout_secs",
+    "update_secs",
+    "density_secs",
+    "env_steps_per_sec",
+    "actors",
+    "messages_refused",
+    "leases_reissued",
+    "checkpoints_failed",
+];
+
+/// Fields of an evaluation with the settings that made it, which a resume may change. Earlier programs did not write `sampled`.
+const EVALUATION_SETTINGS: [&str; 2] = ["episodes", "sampled"];
+
+/// Whether the settings of an evaluation, as far as they are recorded, are not those of another one.
+pub(super) fn has_other_settings(recorded: &Value, found: &Value) -> bool {
+    let differs = |field: &&str| !recorded[field].is_null() && recorded[field] != found[field];
+    EVALUATION_SETTINGS.iter().any(differs)
+}
+
+/// Compares the lines of an iteration in a file, but for what is incidental.
+pub(super) fn same(
+    file: &str,
+    kind: &str,
+    (iteration, recorded, found): (u64, &Lines, &Lines),
+) -> anyhow::Result<()> {
+    let lines = [recorded, found].map(|lines| lines.get(&iteration).cloned().unwrap_or_default());
+    let [old, new] = &lines;
+    let fields = lines.iter().filter_map(Value::as_object).flat_map(|line| line.keys());
+    let mut relevant = fields.filter(|field| !INCIDENTAL.contains(&field.as_str()));
+    let is_same = |field: &str| {
+        let is_unknown = field == "sampled" && old[field].is_null();
+        is_unknown || old[field] == new[field]
+    };
+    match relevant.find(|field| !is_same(field)) {
+        None => Ok(()),
+        Some(field) => anyhow::bail!(
+            "{kind} {iteration} has {field} {}, {file} has {}",
+            new[field],
+            old[field]
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use learner::store::run_folder::METRICS;
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn lines_differ_by_any_field_but_those_of_time_and_place() {
+        let line = json!({"iteration": 3, "loss": 0.5, "iteration_secs": 1.0, "slots": []});
+        let compared = |field: &str, value: Value| {
+            let mut other = line.clone();
+            other[field] = value;
+            let of = |line: &Value| Lines::from([(3, line.clone())]);
+            same(METRICS, "iteration", (3, &of(&line), &of(&other))).map_err(|why| why.to_string())
+        };
+        assert_eq!(compared("iteration_secs", json!(2.0)), Ok(()));
+        assert_eq!(compared("slots", json!([1])), Ok(()));
+        let difference = "iteration 3 has loss 0.25, metrics.jsonl has 0.5";
+        assert_eq!(compared("loss", json!(0.25)), Err(difference.to_owned()));
+        let difference = "iteration 3 has more 1, metrics.jsonl has null";
+        assert_eq!(compared("more", json!(1)), Err(difference.to_owned()));
+        assert_eq!(compared("sampled", json!(false)), Ok(()), "not recorded");
+    }
+
+    #[test]
+    fn evaluations_have_the_same_settings_unless_a_recorded_one_differs() {
+        let found = json!({"episodes": 10, "sampled": false, "mean": 1.0});
+        for (recorded, other) in [
+            (json!({"episodes": 10, "sampled": false, "mean": 2.0}), false),
+            (json!({"episodes": 10}), false),
+            (json!({"episodes": 3, "sampled": false}), true),
+            (json!({"episodes": 10, "sampled": true}), true),
+        ] {
+            assert_eq!(has_other_settings(&recorded, &found), other, "{recorded}");
+        }
+    }
+}
