@@ -11,8 +11,6 @@ use tracing_subscriber::filter::LevelFilter;
 
 use crate::process::output::{self, LogFormat};
 
-pub use crate::run::pretrained::{TeamRecord, team_record};
-
 /// An error and its causes in one line, as commands print them.
 pub fn line(error: &Error) -> String {
     actor::causes(error.as_ref())

@@ -152,12 +152,14 @@ pub(crate) fn spelled(word: &str) -> Vec<&'static str> {
 /// Refuses a variable that spells a setting without being one, which would change nothing unnoticed.
 fn refuse_if_meant(name: &str) -> Result<(), ConfigError> {
     let word = name[ALIKE_PREFIX.len()..].to_lowercase();
-    let meant = spelled(&word);
+    let weight = word.split_once('_').map(|(section, term)| format!("{section}.{term}"));
+    let weight = weight.filter(|key| keys::weighted_term(key).is_some());
+    let meant: Vec<String> = spelled(&word).into_iter().map(str::to_owned).chain(weight).collect();
     if meant.is_empty() {
         return Ok(());
     }
     let variable =
-        |key: &&str| format!("{ENVIRONMENT_PREFIX}{}", key.to_uppercase().replace('.', "__"));
+        |key: &String| format!("{ENVIRONMENT_PREFIX}{}", key.to_uppercase().replace('.', "__"));
     let meant = meant.iter().map(variable).collect::<Vec<_>>().join(" or ");
     Err(ConfigError::Other(format!("environment variable {name} is no setting; write {meant}")))
 }

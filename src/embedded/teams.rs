@@ -10,6 +10,7 @@ use sim::EnvironmentBatch;
 
 use crate::errors::Usage;
 use crate::run::chosen::ChosenArguments;
+use crate::run::pretrained::{TeamRecord, team_record};
 use crate::run::stored::{self, Trained};
 use crate::run::{pretrained, run_path};
 
@@ -22,7 +23,8 @@ pub fn trained(run: PathBuf, checkpoint: Option<&str>) -> anyhow::Result<(Policy
     let refused = |why| Usage::new(format!("checkpoint: {why}"));
     let checkpoint = checkpoint.map(str::parse).transpose().map_err(refused)?;
     let path = ChosenArguments { run: Some(run), checkpoint }.path()?;
-    described(&path, stored::trained(&path)?)
+    let record = path.to_str().filter(|_| !path.exists()).and_then(team_record);
+    described(&path, stored::trained(&path)?, record)
 }
 
 /// The policies that come with the program for a task, and their description as JSON.
@@ -34,11 +36,15 @@ pub fn pretrained(task: &str) -> anyhow::Result<(PolicySnapshot, String)> {
         let known = pretrained::tasks().collect::<Vec<_>>().join(", ");
         format!("the program has no trained team for {task}; it has teams for {known}")
     });
-    described(Path::new(task), trained?)
+    described(Path::new(task), trained?, team_record(task))
 }
 
-/// The policies of the run at `run`, and their description.
-fn described(run: &Path, trained: Trained) -> anyhow::Result<(PolicySnapshot, String)> {
+/// The policies of the run at `run`, and their description. A team of the program has a `record`.
+fn described(
+    run: &Path,
+    trained: Trained,
+    record: Option<&TeamRecord>,
+) -> anyhow::Result<(PolicySnapshot, String)> {
     let config = &trained.config;
     // Another program's environment is not needed to act, so that program need not run.
     let simulated = config.environment.url.is_empty();
@@ -55,6 +61,7 @@ fn described(run: &Path, trained: Trained) -> anyhow::Result<(PolicySnapshot, St
         "iteration": trained.iteration,
         "policy_sha256": trained.weights.digest.to_string(),
         "dt_secs": spec.map(|spec| spec.dt_secs),
+        "record": record,
         "agents": agents.collect::<Vec<_>>(),
     });
     Ok((trained.policy, description.to_string()))

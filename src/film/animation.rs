@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -110,12 +110,23 @@ impl Animation {
             .spawn()
             .context("cannot start ffmpeg")?;
         let mut input = ffmpeg.stdin.take().expect("it was requested");
-        let sent = self.pictures().try_for_each(|picture| input.write_all(picture.data()));
-        drop(input);
-        let output = ffmpeg.wait_with_output().context("cannot wait for ffmpeg")?;
-        let said = String::from_utf8_lossy(&output.stderr);
+        let mut messages = ffmpeg.stderr.take().expect("it was requested");
+        // A full pipe of messages would stop ffmpeg from reading.
+        let (sent, said) = std::thread::scope(|scope| {
+            let read = move || {
+                let mut said = Vec::new();
+                messages.read_to_end(&mut said).map(|_| said)
+            };
+            let reader = std::thread::Builder::new().name("ffmpeg".to_owned());
+            let reader = reader.spawn_scoped(scope, read)?;
+            let sent = self.pictures().try_for_each(|picture| input.write_all(picture.data()));
+            drop(input);
+            anyhow::Ok((sent, reader.join().expect("reading does not panic")?))
+        })?;
+        let status = ffmpeg.wait().context("cannot wait for ffmpeg")?;
+        let said = String::from_utf8_lossy(&said);
         let said = said.lines().next().unwrap_or("no message");
-        anyhow::ensure!(output.status.success(), "ffmpeg failed ({}): {said}", output.status);
+        anyhow::ensure!(status.success(), "ffmpeg failed ({status}): {said}");
         sent.context("ffmpeg did not read all pictures")
     }
 }

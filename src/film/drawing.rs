@@ -155,9 +155,10 @@ impl Camera {
             return Vec::new();
         }
         let half = WIDTH as f32 / 2.0 / self.pixels_per_metre;
-        let [first, last] = [(self.on[0] - half).ceil(), (self.on[0] + half).floor()];
-        let metres = first as i64..=last as i64;
-        metres.map(|metre| (metre, self.pixel([metre as f32, 0.0]).0)).collect()
+        let spacing = spacing(half);
+        let [first, last] = [self.on[0] - half, self.on[0] + half].map(|end| end / spacing);
+        let marks = (first.ceil() as i64..=last.floor() as i64).map(|mark| mark as f32 * spacing);
+        marks.map(|metre| (metre as i64, self.pixel([metre, 0.0]).0)).collect()
     }
 
     /// The largest scale at which the capsules fit, pixels per metre.
@@ -238,18 +239,28 @@ fn horizon(pixmap: &mut Pixmap, camera: &Camera) {
     }
 }
 
+/// Metres between the lines of a floor that is seen as far as `reach` metres: a whole number of which a picture holds few.
+fn spacing(reach: f32) -> f32 {
+    (reach / 50.0).ceil().max(1.0)
+}
+
 /// The floor seen from above, with lines at the whole metres of x and y.
 fn lines(pixmap: &mut Pixmap, camera: &Camera) {
     fill(pixmap, SKY);
     let [x, y] = camera.on;
     // Twice the frame's width, because a view from obliquely above shortens the floor by half.
     let reach = 2.0 * WIDTH as f32 / camera.pixels_per_metre;
-    let whole = |middle: f32| (middle - reach).ceil() as i64..=(middle + reach).floor() as i64;
+    let spacing = spacing(reach);
+    let whole = |middle: f32| {
+        let lines = ((middle - reach) / spacing).ceil() as i64
+            ..=((middle + reach) / spacing).floor() as i64;
+        lines.map(move |line| line as f32 * spacing)
+    };
     let place = |x, y| camera.pixel(camera.view.plane([x, y, 0.0]));
-    for metre in whole(x).map(|metre| metre as f32) {
+    for metre in whole(x) {
         rounded(pixmap, [place(metre, y - reach), place(metre, y + reach)], 0.75, LINES);
     }
-    for metre in whole(y).map(|metre| metre as f32) {
+    for metre in whole(y) {
         rounded(pixmap, [place(x - reach, metre), place(x + reach, metre)], 0.75, LINES);
     }
 }

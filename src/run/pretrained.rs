@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use policy::PolicySnapshot;
 use policy::arrays::hex;
 use proto::{Digest, PolicyVersion, WeightsName};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use sim::spelling::nearest;
 
 use crate::config::run_config::RunConfig;
@@ -16,29 +16,29 @@ use crate::errors::Usage;
 use crate::run::stored::Trained;
 
 /// Where a team comes from: a run of its task with the default settings.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct TeamRecord {
+pub(crate) struct TeamRecord {
     /// Seed of the run.
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Iterations of the run.
-    pub iteration: u64,
+    pub(crate) iteration: u64,
     /// Environment steps of the run.
-    pub env_steps: u64,
+    pub(crate) env_steps: u64,
     /// Mean return of the ten episodes of the run's last evaluation.
-    pub return_mean: f64,
+    pub(crate) return_mean: f64,
     /// Standard deviation of these ten returns.
-    pub return_standard_deviation: f64,
+    pub(crate) return_standard_deviation: f64,
     /// Return of the first of these episodes.
-    pub first_return: f64,
+    pub(crate) first_return: f64,
     /// Hash of the run's semantic settings, hexadecimal.
-    pub settings_sha256: String,
+    pub(crate) settings_sha256: String,
     /// Hash of the run's final weights, critics included, hexadecimal.
-    pub weights_sha256: String,
+    pub(crate) weights_sha256: String,
     /// Hash of the team's file, hexadecimal.
-    pub policy_sha256: String,
+    pub(crate) policy_sha256: String,
     /// Commit of the program that trained it.
-    pub commit: String,
+    pub(crate) commit: String,
 }
 
 macro_rules! teams {
@@ -65,8 +65,7 @@ static RECORDS: LazyLock<BTreeMap<String, TeamRecord>> = LazyLock::new(|| {
 });
 
 /// The record of the team for a task; `None` if the program has no team for it.
-#[must_use]
-pub fn team_record(task: &str) -> Option<&'static TeamRecord> {
+pub(crate) fn team_record(task: &str) -> Option<&'static TeamRecord> {
     RECORDS.get(task)
 }
 

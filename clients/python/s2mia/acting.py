@@ -47,6 +47,8 @@ class Description:
     dt_secs: float | None
     """Seconds between observations; `None` if only the program of the environment knows it."""
     agents: list[Agent]
+    record: dict[str, Any] | None = None
+    """Of a team that comes with the package: return, seed, commit and hashes of its run."""
 
 
 class Acting(abc.ABC):

@@ -16,7 +16,7 @@ pub(crate) struct TaskNewArguments {
     /// Folder of the new files; it is made if necessary.
     #[arg(value_name = "DIR")]
     pub(crate) folder: PathBuf,
-    /// Robot of the program, such as ant, or one of its tasks, whose settings are copied as well [default: a hopper].
+    /// Robot of the program, such as ant, or one of its tasks, whose settings but those of MADDPG are copied as well [default: a hopper].
     #[arg(long, value_name = "ROBOT | TASK")]
     pub(crate) from: Option<String>,
     /// Force.

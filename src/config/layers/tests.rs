@@ -134,6 +134,7 @@ fn a_variable_that_spells_a_setting_with_single_underscores_is_refused_and_anoth
         ("S2MIA_RUN__SEED", "S2MIA__RUN__SEED"),
         ("S2MIA_TASK", "S2MIA__TASK"),
         ("S2MIA_ENV_STEPS", "S2MIA__RUN__ENV_STEPS"),
+        ("S2MIA_REWARD_CONTROL", "S2MIA__REWARD__CONTROL"),
     ] {
         let line = format!("environment variable {name} is no setting; write {meant}");
         assert_eq!(read(name).unwrap_err(), line);
