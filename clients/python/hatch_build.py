@@ -25,7 +25,8 @@ class Native(BuildHookInterface):
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Adds the program as a script and the module as a file of the package."""
-        del version
+        if version == "editable":
+            raise RuntimeError("an editable installation would lack the native module; CONTRIBUTING.md says what to do instead")
         if self.target_name != "wheel":
             raise RuntimeError("only a wheel can be built: a source archive would lack the Rust sources")
         built = self.built()

@@ -149,8 +149,12 @@ pub trait EnvironmentBatch: Send {
     }
 }
 
-/// Checks actions `[E, A]` of `environments` environments of a task: their number, that continuous ones are finite, and that
-/// discrete ones are indices of choices.
+/// Largest continuous action, in units of half a range. Rewards count squares of actions that are not clamped: this bound keeps
+/// them finite.
+const LARGEST_ACTION: f32 = 1e6;
+
+/// Checks actions `[E, A]` of `environments` environments of a task: their number, that continuous ones are numbers of at most
+/// 1e6, and that discrete ones are indices of choices.
 ///
 /// # Errors
 /// The first action that is invalid.
@@ -165,7 +169,7 @@ pub fn check_actions(
     }
     let is_valid = |choices: Option<u32>, value: f32| match choices {
         Some(choices) => (0.0..choices as f32).contains(&value) && value.fract() == 0.0,
-        None => value.is_finite(),
+        None => value.abs() <= LARGEST_ACTION,
     };
     let mut rest = actions.iter();
     for environment in 0..environments {
@@ -180,7 +184,7 @@ pub fn check_actions(
                     let choices = choices as usize;
                     ActionError::NoChoice { environment, agent, value, choices }
                 }
-                None => ActionError::NotFinite { environment, agent, index, value },
+                None => ActionError::Beyond { environment, agent, index, value },
             });
         }
     }

@@ -68,9 +68,12 @@ pub enum ActionError {
         /// Size of the joint action of all agents.
         size: usize,
     },
-    /// A value is not finite.
-    #[error("the action of agent {agent} in environment {environment} is {value} at index {index}")]
-    NotFinite {
+    /// A value is not finite or too large.
+    #[error(
+        "the action of agent {agent} in environment {environment} is {} at index {index}; it must be a number from -1e6 to 1e6",
+        short(*.value)
+    )]
+    Beyond {
         /// Index of the environment in the slot.
         environment: usize,
         /// The agent.

@@ -104,7 +104,8 @@ fn an_action_that_is_not_finite_is_rejected_without_a_step() {
     reset(&mut *game, 0, 1);
     let before = game.encode(0).unwrap();
     let error = game.step(&[0.5, f32::NAN], &mut [Outcome::default()]).unwrap_err();
-    assert_eq!(error.to_string(), "the action of agent 1 in environment 0 is NaN at index 0");
+    let line = "the action of agent 1 in environment 0 is NaN at index 0; it must be a number from -1e6 to 1e6";
+    assert_eq!(error.to_string(), line);
     assert_eq!(game.encode(0).unwrap(), before);
 }
 

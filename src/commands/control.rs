@@ -68,7 +68,7 @@ pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
         return Ok(Some(with_scheme(address)));
     }
     if !Path::new(of).is_dir() {
-        return Err(Usage::new(format!("{of} is no run folder, URL or HOST:PORT")).into());
+        return Err(Usage::new(format!("`{of}` is no run folder, URL or HOST:PORT")).into());
     }
     Ok(RunFolder::listening(Path::new(of))?.as_deref().map(with_scheme))
 }

@@ -1,5 +1,7 @@
 //! Environments for other programs: named and set as in commands, with the episodes of training, stepped by several threads.
 
+use std::iter;
+use std::sync::{Mutex, PoisonError};
 use std::thread::{self, ScopedJoinHandle};
 
 use anyhow::{Context as _, ensure};
@@ -9,6 +11,7 @@ use proto::EnvironmentSpec;
 use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, SimError};
 
 use crate::config::Request;
+use crate::config::message_steps::WINDOW;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::film::{self, RobotShapes};
@@ -16,9 +19,20 @@ use crate::film::{self, RobotShapes};
 /// Most environments, and most threads.
 const LIMITS: [i64; 2] = [65_536, 1024];
 
-/// Settings that change environments, besides the task; of a name with a dot at its end, all that begin with it.
-const EFFECTIVE: [&str; 6] =
-    ["observation.", "reward.", "run.seed", "environments.steps", "preset", "algorithm"];
+/// Settings that change environments, besides the task, or on which one of these depends; of a name with a dot at its end, all
+/// that begin with it.
+const EFFECTIVE: [&str; 10] = [
+    "observation.mode",
+    "observation.nearest",
+    "observation.globals",
+    "observation.contact_forces",
+    "reward.",
+    "run.seed",
+    "environments.steps",
+    WINDOW,
+    "preset",
+    "algorithm",
+];
 
 /// Environments of one task, `E` in number. Environment `e` is environment `e` of a run with the same settings: it starts its
 /// episodes in the same states, and is rebuilt from its state after the steps of a slot.
@@ -139,7 +153,7 @@ impl Environments {
     /// # Errors
     /// Before the first reset, or if an action is invalid; no environment is stepped.
     pub fn step(&mut self, actions: &[f32]) -> anyhow::Result<()> {
-        ensure!(self.has_begun, "no episode has begun; call reset()");
+        self.demand_episode()?;
         let (count, seed) = (self.count(), self.seed);
         sim::check_actions(self.task(), count, actions)?;
         let size = actions.len() / count;
@@ -173,8 +187,9 @@ impl Environments {
     /// after [`Self::restore`].
     ///
     /// # Errors
-    /// If its episode is over.
+    /// Before the first reset or restored state, or if its episode is over.
     pub fn save(&mut self, environment: usize) -> anyhow::Result<Vec<u8>> {
+        self.demand_episode()?;
         let (share, position) = self.place(environment);
         let share = &self.shares[share];
         ensure!(!share.outcomes[position].is_end(), "the episode is over; reset the environment");
@@ -212,28 +227,35 @@ impl Environments {
         Ok(Picture { width: pixels.width(), height: pixels.height(), rgb })
     }
 
+    fn demand_episode(&self) -> anyhow::Result<()> {
+        ensure!(self.has_begun, "no episode has begun; call reset()");
+        Ok(())
+    }
+
     /// The share of an environment, and its position in the share.
     fn place(&self, environment: usize) -> (usize, usize) {
         let size = self.shares[0].world.count();
         (environment / size, environment % size)
     }
 
-    /// Does `work` for each share, the first in this thread. No result depends on the number of threads.
+    /// Does `work` for each share, in this and other threads. No result depends on their number, so a thread that cannot start
+    /// is no error.
     fn each(
         &mut self,
         work: impl Fn(&mut Share) -> anyhow::Result<()> + Sync,
     ) -> anyhow::Result<()> {
-        let work = &work;
-        let (first, others) = self.shares.split_first_mut().expect("there is a share");
+        let others = 1..self.shares.len();
+        let waiting = Mutex::new(self.shares.iter_mut());
+        let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
+        let work_off = || iter::from_fn(next).map(&work).fold(Ok(()), Result::and);
         thread::scope(|scope| {
-            let start = |share| {
+            let start = |_| {
                 let thread = thread::Builder::new().name("environments".to_owned());
-                thread.spawn_scoped(scope, move || work(share))
+                thread.spawn_scoped(scope, work_off).ok()
             };
-            let started: Result<Vec<_>, _> = others.iter_mut().map(start).collect();
-            let started = started.context("cannot start a thread")?;
-            let results = std::iter::once(work(first)).chain(started.into_iter().map(joined));
-            results.fold(Ok(()), Result::and)
+            let started: Vec<_> = others.filter_map(start).collect();
+            let own = work_off();
+            started.into_iter().map(joined).fold(own, Result::and)
         })
     }
 }
@@ -249,9 +271,9 @@ fn demand_effect(keys: &[String]) -> anyhow::Result<()> {
         EFFECTIVE.iter().any(|own| *own == key || (own.ends_with('.') && key.starts_with(own)))
     };
     let Some(key) = keys.iter().find(|key| !changes(key)) else { return Ok(()) };
-    let why = "has no effect on an environment; run.seed, environments.steps, preset, algorithm and the keys of observation \
-               and reward have";
-    Err(Usage::new(format!("settings: `{key}` {why}")).into())
+    let known = EFFECTIVE.join(", ").replace("reward.", "the weights of reward");
+    let why = format!("settings: `{key}` has no effect on an environment; {known} have");
+    Err(Usage::new(why).into())
 }
 
 impl Share {

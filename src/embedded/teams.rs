@@ -34,7 +34,7 @@ pub fn trained(run: PathBuf, checkpoint: Option<&str>) -> anyhow::Result<(Policy
 pub fn pretrained(task: &str) -> anyhow::Result<(PolicySnapshot, String)> {
     let trained = pretrained::of_task(task)?.with_context(|| {
         let known = pretrained::tasks().collect::<Vec<_>>().join(", ");
-        format!("the program has no trained team for {task}; it has teams for {known}")
+        format!("the program has no trained team for `{task}`; it has teams for {known}")
     });
     described(Path::new(task), trained?, team_record(task))
 }

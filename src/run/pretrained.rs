@@ -94,10 +94,10 @@ pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Trained>> {
     let meant = nearest(name, tasks()).or_else(|| nearest(name, all.iter().copied()));
     let why = match (all.contains(&name), meant) {
         (true, _) => format!(
-            "the program has no trained team for {name}; train one with `s2mia train {name}` and name its folder"
+            "the program has no trained team for `{name}`; train one with `s2mia train {name}` and name its folder"
         ),
         (false, Some(task)) => {
-            format!("{name} is neither a folder nor a task; did you mean `{task}`?")
+            format!("`{name}` is neither a folder nor a task; did you mean `{task}`?")
         }
         (false, None) => return Ok(None),
     };

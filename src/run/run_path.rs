@@ -33,9 +33,9 @@ pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
     let shown = folder.display();
     Err(Usage::new(match RunFolder::around(folder) {
         Some(run) => {
-            format!("{shown} is no run folder, but in the run {}; name that", run.display())
+            format!("`{shown}` is no run folder, but in the run {}; name that", run.display())
         }
-        None => format!("{shown} is no run folder: it has no {CONFIG}"),
+        None => format!("`{shown}` is no run folder: it has no {CONFIG}"),
     }))
 }
 

@@ -6,6 +6,7 @@
     simulator.py    what these have in common
     run.py          trains with the program, and reads a run: `train`, `Run`
     settings.py     settings as keywords
+    values.py       agents, and checks of seeds and arrays
     policies.py     trained policies in this process: `load`, `pretrained`
     team.py         trained policies that a server computes: `Team`
     acting.py       what both have in common
@@ -20,16 +21,17 @@
     environment.py  server of environments: the package `s2mia_environment`
     wire.py         the messages
 
-A module is imported when a name from it is first used: gRPC, pandas, PettingZoo and Gymnasium are needed only then.
+A module is imported when a name from it is first used: gRPC, pandas, PettingZoo, Gymnasium and the native module `_native`, of
+the simulator and `policies.py`, are needed only then.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from s2mia._native import VERSION as __version__
 from s2mia.error import RunError
 
 if TYPE_CHECKING:
+    from s2mia._native import VERSION as __version__
     from s2mia.actor import act_for
     from s2mia.connection import Tls
     from s2mia.control import Client, Progress, Status
@@ -85,6 +87,8 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("s2mia._native").VERSION
     if name in _MODULES:
         return getattr(importlib.import_module(f"s2mia.{_MODULES[name]}"), name)
     raise AttributeError(f"module 's2mia' has no attribute {name!r}")

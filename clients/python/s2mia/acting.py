@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from s2mia.simulator import AgentSpec
+from s2mia.values import AgentSpec, Numbers, numbers
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-
-Floats = NDArray[np.float32]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +116,7 @@ class Acting(abc.ABC):
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Ends the team, which then acts no more."""
+        """Closes the connection of a served team, which then acts no more. A loaded team has none, and still acts."""
 
     def __enter__(self) -> "Self":
         return self
@@ -137,10 +135,10 @@ class Acting(abc.ABC):
         """Starts an episode in one environment."""
 
     @abc.abstractmethod
-    def _step(self, rows: dict[int, Floats]) -> dict[int, Floats]:
+    def _step(self, rows: dict[int, Numbers]) -> dict[int, Numbers]:
         """Actions `[E, act]` for observations `[E, obs]`, by the index of the agent."""
 
-    def _actions(self, rows: dict[int, Floats], single: bool) -> dict[int, NDArray[Any]]:
+    def _actions(self, rows: dict[int, Numbers], single: bool) -> dict[int, NDArray[Any]]:
         """Actions `[act]` or `[E, act]`, of which choices are whole numbers without the axis `act`."""
         environments = len(next(iter(rows.values())))
         if self._environments is None:
@@ -150,7 +148,7 @@ class Acting(abc.ABC):
             before = self._environments
             raise ValueError(f"observations of {environments} environments after {before}; call reset() in between")
 
-        def shaped(index: int, actions: Floats) -> NDArray[Any]:
+        def shaped(index: int, actions: Numbers) -> NDArray[Any]:
             own = actions[:, 0].astype(np.int64) if self.agents[index].choices is not None else actions
             return own[0] if single else own
 
@@ -176,15 +174,15 @@ class Acting(abc.ABC):
             raise ValueError(f"observations have shape {array.shape}, expected {expected}")
         return {index: array[..., index, : agent.observation_size] for index, agent in enumerate(self.agents)}
 
-    def _batch(self, observations: Mapping[int, ArrayLike]) -> tuple[dict[int, Floats], bool]:
+    def _batch(self, observations: Mapping[int, ArrayLike]) -> tuple[dict[int, Numbers], bool]:
         """Arrays `[E, obs]`, and whether they had no axis `E`."""
         if not observations:
             raise ValueError("there is no observation")
-        batch: dict[int, Floats] = {}
+        batch: dict[int, Numbers] = {}
         leading: tuple[int, ...] | None = None
         for index, observation in observations.items():
             agent = self.agents[index]
-            own, size = _numbers(agent.name, observation), agent.observation_size
+            own, size = numbers(f"{agent.name}: the observation", observation), agent.observation_size
             if own.ndim not in (1, 2) or own.shape[-1] != size or not own.size:
                 raise ValueError(f"{agent.name}: observation has shape {own.shape}, expected ({size},) or (E, {size})")
             leading = own.shape[:-1] if leading is None else leading
@@ -195,24 +193,3 @@ class Acting(abc.ABC):
                 raise ValueError(f"{agent.name}: the observation contains a number that is not finite")
             batch[index] = np.ascontiguousarray(np.atleast_2d(own))
         return batch, leading == ()
-
-
-def checked_seed(seed: int | None) -> int | None:
-    """The seed. Raises `ValueError` if it is no whole number of 64 bits."""
-    if seed is not None and not (isinstance(seed, int | np.integer) and 0 <= seed < 2**64):
-        raise ValueError(f"seed is {seed!r}; it must be a whole number from 0 to {2**64 - 1}")
-    return None if seed is None else int(seed)
-
-
-def _numbers(agent: str, observation: ArrayLike) -> Floats:
-    try:
-        numbers = np.asarray(observation)
-        if numbers.dtype.kind not in "biuf":
-            if numbers.dtype.kind != "c":
-                # Raises for texts that are no numbers, and says which.
-                np.asarray(observation, np.float32)
-            raise TypeError(f"it has the type {numbers.dtype}")
-        with np.errstate(over="ignore"):
-            return numbers.astype("<f4")
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{agent}: the observation is no array of numbers: {error}") from None

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from s2mia.simulator import AgentSpec, Numbers, OneEnvironment, Simulator
+from s2mia.simulator import OneEnvironment, Simulator
+from s2mia.values import AgentSpec, Numbers, numbers
 
 try:
     from gymnasium.spaces import Box, Discrete, Space
@@ -118,8 +119,9 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
         if actions.keys() != self._names:
             named, agents = ", ".join(map(str, actions)), ", ".join(self.possible_agents)
             raise ValueError(f"the actions are of the agents {named or 'none'}; needed are those of {agents}")
+        rows = []
         for name, shapes in self._shapes:
-            if np.shape(actions[name]) not in shapes:
-                raise ValueError(f"the action of {name} has the shape {np.shape(actions[name])}, not {shapes[0]}")
-        ordered = [actions[name] for name in self.possible_agents]
-        return np.concatenate(ordered, axis=None, dtype=np.float32, casting="unsafe")
+            rows.append(numbers(f"the action of {name}", actions[name]))
+            if rows[-1].shape not in shapes:
+                raise ValueError(f"the action of {name} has the shape {rows[-1].shape}, not {shapes[0]}")
+        return np.concatenate(rows, axis=None)

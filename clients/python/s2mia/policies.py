@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from s2mia._native import Team as Native
-from s2mia.acting import Acting, Agent, Description, Floats, checked_seed
+from s2mia.acting import Acting, Agent, Description
 from s2mia.error import RunError
+from s2mia.values import Numbers, checked_seed
 
 
 class Policies(Acting):
@@ -22,7 +23,7 @@ class Policies(Acting):
         self._native = native
 
     def close(self) -> None:
-        """Does nothing: there is no connection. Served teams have one."""
+        """Does nothing: there is no connection, and the team still acts."""
 
     def _begin(self, environments: int) -> None:
         self._native.begin(environments)
@@ -30,7 +31,7 @@ class Policies(Acting):
     def _restart(self, environment: int) -> None:
         self._native.reset(environment)
 
-    def _step(self, rows: dict[int, Floats]) -> dict[int, Floats]:
+    def _step(self, rows: dict[int, Numbers]) -> dict[int, Numbers]:
         return {
             index: np.frombuffer(self._native.act(index, own.tobytes()), "<f4").reshape(len(own), -1)
             for index, own in rows.items()

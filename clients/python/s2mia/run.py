@@ -8,11 +8,13 @@ import shutil
 import subprocess
 import sysconfig
 import tempfile
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from s2mia.error import RunError
-from s2mia.policies import Policies, load
 from s2mia.settings import arguments
+
+if TYPE_CHECKING:
+    from s2mia.policies import Policies
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +33,11 @@ class Run:
         """The figures of each evaluation, for example `env_steps` and `mean`, the mean return."""
         return [line for line in lines(self.folder) if line["kind"] == "evaluation"]
 
-    def load(self, seed: int | None = None) -> Policies:
+    def load(self, seed: int | None = None) -> "Policies":
         """The newest policies, as `s2mia.load` returns them."""
+        # Only this needs the native module.
+        from s2mia.policies import load
+
         return load(self.folder, seed)
 
 

@@ -11,28 +11,10 @@ from numpy.typing import NDArray
 
 from s2mia._native import Environments
 from s2mia.settings import arguments
-
-Numbers = NDArray[np.float32]
+from s2mia.values import AgentSpec, Numbers, checked_seed, whole
 
 RENDER_MODE = "rgb_array"
 _REWARD = struct.Struct("<f")
-
-
-@dataclass(frozen=True)
-class AgentSpec:
-    """One agent of a task."""
-
-    name: str
-    joints: list[str]
-    """Joints that it drives, in the order of its action; none in a game."""
-    features: list[str]
-    """Names of its observation, m, rad, m/s and rad/s."""
-    action_size: int
-    """Numbers in its action."""
-    choices: int | None
-    """Choices of a discrete action, which is one number."""
-    control_ranges: list[list[float]]
-    """Controls for the actions -1 and 1, a pair for each number; none in a game."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +43,9 @@ class Simulator:
         num_envs: int = 1,
         threads: int = 1,
     ) -> None:
-        seeded = {} if seed is None else {"run__seed": seed}
+        # A setting has 63 bits.
+        own = checked_seed(seed, 2**63 - 1)
+        seeded = {} if own is None else {"run__seed": own}
         self.num_envs = num_envs
         self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
         name, dt_secs, episode_steps, state, agents = self.native.task()
@@ -69,11 +53,19 @@ class Simulator:
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
-        if seed is not None and not (isinstance(seed, int | np.integer) and 0 <= seed < 2**64):
-            raise ValueError(f"seed is {seed!r}; it must be a whole number from 0 to {2**64 - 1}")
-        limit = (options or {}).get("limit", [])
-        limits = np.broadcast_to(limit, self.num_envs) if np.ndim(limit) == 0 else limit
-        self.native.reset(None if seed is None else int(seed), [int(one) for one in limits])
+        given = options or {}
+        # PettingZoo's test resets with the option `options`.
+        if unknown := given.keys() - {"limit", "options"}:
+            raise ValueError(f"options has {', '.join(sorted(map(repr, unknown)))}; the option is 'limit'")
+        limits = self._limits(given["limit"]) if "limit" in given else []
+        self.native.reset(checked_seed(seed), limits)
+
+    def _limits(self, limit: Any) -> list[int]:
+        """The limits of all environments, `[E]`, from one number or as many as there are environments."""
+        limits = np.asarray(limit, object)
+        if limits.shape not in ((), (self.num_envs,)):
+            raise ValueError(f"limit has the shape {limits.shape}; it is a number or has the shape ({self.num_envs},)")
+        return [whole("limit", one, 1, self.task.episode_steps) for one in np.broadcast_to(limits, self.num_envs)]
 
 
 class OneEnvironment:
@@ -102,7 +94,8 @@ class OneEnvironment:
     def save(self) -> bytes:
         """The state, as logs and checkpoints of runs have it. What follows equals what follows `restore`, bit for bit.
 
-        Raises `ValueError` if the episode is over.
+        It differs from what follows without `save`, in the last bits: an environment that saves does not repeat a run.
+        Raises `ValueError` before the first episode, or if the episode is over.
         """
         return self.simulator.native.save(0)
 

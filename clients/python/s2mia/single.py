@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from s2mia import _native
-from s2mia.simulator import Numbers, OneEnvironment, Simulator
+from s2mia.simulator import OneEnvironment, Simulator
+from s2mia.values import Numbers, numbers
 
 try:
     from gymnasium import Env
@@ -50,12 +51,12 @@ class SingleSimulator(OneEnvironment, Env[Numbers, Any]):
     ) -> tuple[Numbers, dict[str, Any]]:
         """Starts the next episode or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation."""
         self.begin(seed, options)
-        Env.reset(self, seed=seed)
+        Env.reset(self, seed=None if seed is None else int(seed))
         return self.state(), {}
 
     def step(self, action: Any) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
         """Steps with the action `[A]`. `info` has `fault` after a step that left the bounds of the simulation."""
-        joint = np.asarray(action, np.float32)
+        joint = numbers("the action", action)
         if joint.shape != self.action_space.shape:
             raise ValueError(f"the action has the shape {joint.shape}, not {self.action_space.shape}")
         _, reward, terminated, truncated, fault = self.advance(joint)

@@ -5,8 +5,9 @@ import queue
 from typing import Any
 
 from s2mia import wire
-from s2mia.acting import Acting, Agent, Description, Floats, checked_seed
+from s2mia.acting import Acting, Agent, Description
 from s2mia.connection import Connection, Tls
+from s2mia.values import Numbers, checked_seed
 
 
 class Team(Acting):
@@ -57,7 +58,7 @@ class Team(Acting):
     def _restart(self, environment: int) -> None:
         self._starts = True
 
-    def _step(self, rows: dict[int, Floats]) -> dict[int, Floats]:
+    def _step(self, rows: dict[int, Numbers]) -> dict[int, Numbers]:
         observations = [
             wire.AgentObservation(agent=agent, observation=wire.tensor(row[0])) for agent, row in rows.items()
         ]

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from s2mia.simulator import Numbers, Simulator
+from s2mia.simulator import Simulator
+from s2mia.values import Numbers, numbers
 
 try:
     from gymnasium.spaces import Box, MultiDiscrete, Space
@@ -62,12 +63,12 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
         """Starts the next episodes or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation, of
         all environments or of each, `[E]`."""
         self.simulator.reset(seed, options)
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))
         return self._observed(self.simulator.native.observations()), {}
 
     def step(self, actions: Any) -> tuple[Numbers, Numbers, Flags, Flags, dict[str, Any]]:
         """Steps all environments: observations, rewards, terminations, truncations and infos."""
-        joint = np.asarray(actions, np.float32)
+        joint = numbers("the joint action", actions)
         if joint.shape != self.action_space.shape:
             raise ValueError(f"the actions have the shape {joint.shape}, not {self.action_space.shape}")
         joint = self._numbers.joined(joint.reshape(self.num_envs, -1))

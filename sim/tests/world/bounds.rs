@@ -33,13 +33,33 @@ fn invalid_actions_are_rejected_with_agent_and_index_without_a_step() {
     let mut world = environments("halfcheetah-2x3", 2);
     let (mut outcome, before) = ([Outcome::default(); 2], world.encode(0).unwrap());
     let mut actions = [0.2; 12];
-    actions[6 + 4] = f32::NAN;
-    let error = world.step(&actions, &mut outcome).unwrap_err();
-    assert_eq!(error.to_string(), "the action of agent 1 in environment 1 is NaN at index 1");
+    for (wrong, shown) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (-1.5e6, "-1.5e6")] {
+        actions[6 + 4] = wrong;
+        let error = world.step(&actions, &mut outcome).unwrap_err();
+        let line = format!(
+            "the action of agent 1 in environment 1 is {shown} at index 1; it must be a number from -1e6 to 1e6"
+        );
+        assert_eq!(error.to_string(), line);
+    }
     let error = world.step(&[0.2; 11], &mut outcome).unwrap_err();
     assert_eq!(error.to_string(), "got 11 action values; 2 environments need 2 x 6");
     assert_eq!(world.encode(0).unwrap(), before);
     assert_eq!(world.position(0).step, 0);
+}
+
+#[test]
+fn the_largest_actions_have_finite_rewards_and_leave_a_valid_state() {
+    for task in sim::task_names().iter().filter(|task| !["cue-2x1", "signal-2x1"].contains(task)) {
+        let mut world = environments(task, 1);
+        let agents = world.description().agents.iter();
+        let size = agents.map(|agent| agent.action.size).sum();
+        for sign in [1.0, -1.0] {
+            let outcome = crate::step(&mut *world, &vec![sign * 1e6; size]);
+            assert!(outcome.reward.is_finite(), "{task}: {outcome:?}");
+        }
+        let state = world.encode(0).unwrap();
+        world.restore(0, &state).unwrap();
+    }
 }
 
 #[test]

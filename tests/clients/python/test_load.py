@@ -135,8 +135,9 @@ def test_a_team_that_comes_with_the_package_acts_with_the_bits_of_the_program(tm
     ("task", "message"),
     [
         ("quadrupet-4x3", r"did you mean `quadruped-4x3`\?$"),
-        ("cue-2x1", "^the program has no trained team for cue-2x1; train one with "),
-        ("zebra", "^the program has no trained team for zebra; it has teams for .*quadruped-4x3"),
+        ("cue-2x1", "^the program has no trained team for `cue-2x1`; train one with "),
+        ("zebra", "^the program has no trained team for `zebra`; it has teams for .*quadruped-4x3"),
+        ("", "^the program has no trained team for ``; it has teams for "),
     ],
 )
 def test_a_task_without_a_team_is_refused(task, message):
@@ -182,6 +183,7 @@ OTHER = "agent_1: observation has shape (2, 9), expected (3, 9) as for the first
         ),
         ({"agent_1": np.full(9, np.nan)}, "agent_1: the observation contains a number that is not finite"),
         ({"agent_1": np.full(9, 1e300)}, "agent_1: the observation contains a number that is not finite"),
+        ({"agent_1": np.zeros(9, bool)}, "agent_1: the observation is no array of numbers: it has the type bool"),
         ({"agent_1": np.zeros(9, complex)}, "agent_1: the observation is no array of numbers: it has the type complex128"),
     ],
 )
@@ -207,7 +209,14 @@ def test_environments_that_do_not_exist_are_not_reset(trained, environments):
         team.reset(environments)
 
 
-@pytest.mark.parametrize("seed", [-1, 2**64, 1.5, "1"])
+def test_a_loaded_team_has_no_connection_and_acts_after_it_is_closed(trained):
+    with s2mia.load(trained) as team:
+        acted = team.act(np.zeros((2, 9)))
+    team.reset()
+    assert (team.act(np.zeros((2, 9))) == acted).all()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64, 1.5, True, "1"])
 def test_a_seed_is_a_whole_number(trained, seed):
     with pytest.raises(ValueError, match="^seed is .*; it must be a whole number from 0 to 18446744073709551615$"):
         s2mia.load(trained, seed)
@@ -222,8 +231,10 @@ def refused(path) -> str:
 
 
 def test_a_folder_without_policies_is_refused(trained, tmp_path):
-    assert refused(tmp_path) == "PATH is no run folder: it has no config.toml"
-    assert refused(tmp_path / "x") == "PATH is no run folder: it has no config.toml"
+    assert refused(tmp_path) == "`PATH` is no run folder: it has no config.toml"
+    assert refused(tmp_path / "x") == "`PATH` is no run folder: it has no config.toml"
+    with pytest.raises(s2mia.RunError, match="^`` is no run folder: it has no config.toml$"):
+        s2mia.load("")
     shutil.copy(trained / "config.toml", tmp_path)
     assert refused(tmp_path).startswith("PATH has no checkpoint yet; ")
 

@@ -12,6 +12,7 @@ from importlib import metadata
 
 import pytest
 from conftest import FEW, ROOT, SMALL, command
+from hatchling.builders.wheel import WheelBuilder
 
 CLIENTS = ROOT / "clients" / "python"
 # All that the wheel needs with its extra `environment`.
@@ -108,6 +109,19 @@ def test_loading_policies_needs_neither_grpc_nor_pandas(trained, tmp_path):
     python("-c", f"{blocked}s2mia.load({str(trained)!r}).act([[0] * 9] * 2)", cwd=tmp_path)
     failing = f"{blocked}\ntry: s2mia.runs('.')\nexcept ModuleNotFoundError as error: print(error)"
     assert python("-c", failing, cwd=tmp_path) == "s2mia.runs needs pandas: pip install 's2mia[pandas]'\n"
+
+
+def test_clients_of_services_and_tables_of_runs_need_no_native_module(tmp_path):
+    blocked = "import sys; sys.modules['s2mia._native'] = None; import s2mia, s2mia.actor, s2mia_environment; "
+    named = "s2mia.Client, s2mia.Learner, s2mia.Team, s2mia.runs, s2mia.train, s2mia.Run, s2mia.act_for"
+    python("-c", f"{blocked}{named}", cwd=tmp_path)
+    python("-c", "import s2mia; assert s2mia.__version__[0].isdigit()", cwd=tmp_path)
+
+
+def test_an_editable_installation_is_refused_in_one_line(tmp_path):
+    wheels = WheelBuilder(str(CLIENTS)).build(directory=str(tmp_path), versions=["editable"])
+    with pytest.raises(RuntimeError, match="^an editable installation would lack the native module; CONTRIBUTING.md says "):
+        next(wheels)
 
 
 def test_an_actor_without_a_learner_ends_with_one_line(tmp_path):

@@ -93,6 +93,41 @@ def test_a_restored_state_continues_with_the_same_bits():
     assert first.save() == other.save()
 
 
+def test_only_an_episode_that_has_begun_is_saved():
+    env, other = s2mia.parallel_env("ant-4x2", seed=5), s2mia.parallel_env("ant-4x2", seed=5)
+    with pytest.raises(ValueError, match=r"^no episode has begun; call reset\(\)$"):
+        env.save()
+    env.reset()
+    other.reset()
+    assert np.array_equal(env.state(), other.state())
+
+
+def test_actions_beyond_the_limits_move_as_clamped_ones_and_cost_as_they_are():
+    def stepped(size):
+        env = s2mia.parallel_env("ant-4x2", seed=1)
+        env.reset()
+        observations, rewards, *_ = env.step(dict.fromkeys(env.agents, np.full(2, size)))
+        return [row.tobytes() for row in observations.values()], rewards["agent_0"]
+
+    (seen, paid), (same, less), (_, least) = stepped(1), stepped(2), stepped(1e6)
+    # Eight squares of 2 instead of 1, with a weight of 0.5.
+    assert seen == same and paid - less == pytest.approx(0.5 * 8 * 3, abs=1e-4) and np.isfinite(least)
+    with pytest.raises(ValueError, match="is 1e38 at index 0; it must be a number from -1e6 to 1e6$"):
+        stepped(1e38)
+
+
+def test_seeds_may_be_numbers_of_numpy():
+    for env in (s2mia.gym_env("ant"), s2mia.vector_env("ant-4x2"), s2mia.parallel_env("ant-4x2")):
+        env.reset(seed=3)
+        state = env.state()
+        env.reset(seed=np.int64(3))
+        assert np.array_equal(env.state(), state)
+
+
+def test_a_run_with_other_steps_of_backpropagation_can_be_repeated():
+    s2mia.parallel_env("ant-4x2", policy__backpropagation_steps=5, environments__steps=25).reset()
+
+
 def test_what_a_step_returned_does_not_change_with_the_next():
     env = s2mia.parallel_env("ant-4x2")
     env.reset()
@@ -155,7 +190,9 @@ def test_a_task_file_is_an_environment():
         (lambda: s2mia.parallel_env("ant-4x2", observation__mod="full_id"), "did you mean `observation.mode`?"),
         (lambda: s2mia.parallel_env("ant-4x2", observation__mode="eyes"), "observation.mode"),
         (lambda: s2mia.parallel_env("ant-4x2", update__gamma=0.9), "`update.gamma` has no effect on an environment"),
-        (lambda: s2mia.parallel_env("ant-4x2", seed=-1), "run.seed"),
+        (lambda: s2mia.parallel_env("ant-4x2", seed=-1), "seed is -1; it must be a whole number from 0 to"),
+        (lambda: s2mia.parallel_env("ant-4x2", seed=2**63), "a whole number from 0 to 9223372036854775807"),
+        (lambda: s2mia.parallel_env("ant-4x2", observation__norm="none"), "`observation.norm` has no effect on an environment"),
         (lambda: s2mia.parallel_env("ant-4x2", disturbances="on"), "disturbances is \"on\"; it is training, evaluation or off"),
         (lambda: s2mia.parallel_env("ant-4x2", render_mode="human"), "render_mode is 'human'"),
         (lambda: s2mia.parallel_env("cue-2x1", render_mode="rgb_array"), "cue-2x1 is a game: there is nothing to draw"),
@@ -173,13 +210,24 @@ def test_environments_that_cannot_be_made_are_refused_in_one_line(make, message)
     ("use", "message"),
     [
         (lambda env: env.step(rest(env) | {"agent_2": np.zeros(3)}), "the action of agent_2 has the shape (3,), not (2,)"),
-        (lambda env: env.step(rest(env) | {"agent_2": [0, np.nan]}), "the action of agent 2 in environment 0 is NaN at index 1"),
+        (lambda env: env.step(rest(env) | {"agent_2": [0, np.nan]}), "the action of agent 2 in environment 0 is NaN at index 1; it must"),
+        (lambda env: env.step(rest(env) | {"agent_2": [0, 1e300]}), "agent 2 in environment 0 is inf at index 1; it must"),
+        (lambda env: env.step(rest(env) | {"agent_2": [True, True]}), "agent_2 is no array of numbers: it has the type bool"),
+        (lambda env: env.step(rest(env) | {"agent_2": ["1", "0"]}), "agent_2 is no array of numbers: it has the type <U1"),
+        (lambda env: env.step(rest(env) | {"agent_2": [1j, 0]}), "agent_2 is no array of numbers: it has the type complex128"),
         (lambda env: env.step(rest(env) | {"agent_4": np.zeros(2)}), "needed are those of agent_0, agent_1, agent_2, agent_3"),
         (lambda env: env.step({}), "the actions are of the agents none; needed"),
         (lambda env: env.restore(b"s2st"), "invalid environment state: it has 4 bytes; a state of rapier/ant has "),
         (lambda env: env.reset(seed=-1), "seed is -1; it must be a whole number from 0 to"),
-        (lambda env: env.reset(options={"limit": 0}), "limit = 0 is out of range: 1 to 1000"),
-        (lambda env: env.reset(options={"limit": [9, 9]}), "got 2 limits for 1 environments"),
+        (lambda env: env.reset(options={"limit": 0}), "limit is 0; it must be a whole number from 1 to 1000"),
+        (lambda env: env.reset(options={"limit": 1.5}), "limit is 1.5; it must"),
+        (lambda env: env.reset(options={"limit": True}), "limit is True; it must"),
+        (lambda env: env.reset(options={"limit": None}), "limit is None; it must"),
+        (lambda env: env.reset(options={"limit": 'a'}), "limit is 'a'; it must"),
+        (lambda env: env.reset(options={"limit": 2**80}), "limit is 1208925819614629174706176; it must"),
+        (lambda env: env.reset(options={"limit": np.nan}), "limit is nan; it must"),
+        (lambda env: env.reset(options={"limit": [9, 9]}), "the shape (2,); it is a number or has the shape (1,)"),
+        (lambda env: env.reset(options={"limt": 3}), "options has 'limt'; the option is 'limit'"),
         (lambda env: env.render(), "render_mode='rgb_array'"),
     ],
 )

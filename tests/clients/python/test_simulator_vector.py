@@ -1,5 +1,8 @@
 """Vectors of environments: equal for any number of threads, reset as Gymnasium defines it, and padded for unequal agents."""
 
+import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -85,11 +88,37 @@ def test_invalid_actions_name_the_environment_and_step_none():
         with pytest.raises(ValueError, match="the actions have the shape"):
             envs.step(np.zeros(shape))
     actions[3, 1, 2] = np.inf
-    with pytest.raises(ValueError, match=r"^the action of agent 1 in environment 3 is inf at index 2$"):
+    with pytest.raises(ValueError, match=r"^the action of agent 1 in environment 3 is inf at index 2; it must be "):
         envs.step(actions)
     with pytest.raises(ValueError, match=r"^seed is \[1, 2, 3, 4\]; it must be a whole number"):
         envs.reset(seed=[1, 2, 3, 4])
+    with pytest.raises(ValueError, match="^the joint action is no array of numbers: it has the type bool$"):
+        envs.step(actions > 0)
+    for limit in ([9, 9], [[9, 9, 9, 9]]):
+        with pytest.raises(ValueError, match="^limit has the shape .*; it is a number or has the shape "):
+            envs.reset(options={"limit": limit})
+    with pytest.raises(ValueError, match="^options has 'reset_mask'; the option is 'limit'$"):
+        envs.reset(options={"reset_mask": np.ones(4, bool)})
     assert envs.state().tobytes() == before
+
+
+ROLLOUT = """
+import hashlib, numpy, s2mia
+envs = s2mia.vector_env("walker2d-2x3", 6, threads=3, seed=1)
+told = hashlib.sha256(envs.reset()[0].tobytes())
+for _ in range(5):
+    told.update(envs.step(numpy.full(envs.action_space.shape, 0.5))[0].tobytes())
+print(told.hexdigest())
+"""
+
+
+def test_environments_whose_threads_cannot_start_are_stepped_in_that_of_python():
+    def told(**variables: str) -> str:
+        environment = {**os.environ, **variables}
+        return subprocess.check_output([sys.executable, "-c", ROLLOUT], env=environment)
+
+    # No address space has room for such a stack, so no thread starts.
+    assert told(RUST_MIN_STACK=str(2**60)) == told()
 
 
 def test_other_threads_of_python_run_while_environments_step():
