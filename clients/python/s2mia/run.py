@@ -52,7 +52,7 @@ def train(task: str | os.PathLike[str], *, progress: bool = False, **settings: A
     words = [_program(), "train", "--stop-with-stdin", *arguments(task, settings)]
     with tempfile.TemporaryFile("w+", errors="replace") as errors:
         opening, status = _finished(words, errors, progress)
-        if status:
+        if status or ": task " not in opening:
             raise RunError(_failure(errors, status))
     return Run(pathlib.Path(opening.rpartition(": task ")[0]).absolute())
 
@@ -81,7 +81,7 @@ def _finished(words: list[str], errors: IO[str], progress: bool) -> tuple[str, i
 
 
 def _failure(errors: IO[str], status: int) -> str:
-    """The program's line about its error; if it had no chance to write one, its status and last line."""
+    """The program's line about its error; if it wrote none, its status and last line."""
     errors.seek(0)
     said = [line.strip() for line in errors if line.strip()]
     if reported := [line for line in said if line.startswith("error: ")]:

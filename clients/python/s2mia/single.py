@@ -1,5 +1,6 @@
 """The simulator under Gymnasium's interface, with one agent that drives the whole robot: `gym_env`."""
 
+import difflib
 import os
 from typing import Any
 
@@ -29,9 +30,13 @@ def gym_env(
     Its observation is the global state, and its action that of all agents, in their order. `task` may also be the name of a
     robot, such as `"ant"`, whose partition does not matter here. The other arguments are those of `s2mia.parallel_env`.
     """
-    names = _native.task_names()
-    of_robot = [name for name in names if name.rpartition("-")[0] == task]
-    whole = of_robot[0] if of_robot and task not in names else task
+    name, names = os.fspath(task), _native.task_names()
+    # Of each robot its first task.
+    robots = {own.rpartition("-")[0]: own for own in reversed(names)}
+    near = difflib.get_close_matches(name, [*names, *robots], 1, 0.8)
+    if near and near[0] in robots.keys() - {name}:
+        raise ValueError(f"unknown robot {name!r}; did you mean {near[0]!r}?")
+    whole = name if name in names else robots.get(name, name)
     return SingleSimulator(Simulator(whole, settings, seed, disturbances), render_mode)
 
 

@@ -68,6 +68,12 @@ def test_a_program_that_is_killed_is_an_error(tmp_path, monkeypatch):
         s2mia.train("cue-2x1")
 
 
+def test_another_program_that_ends_well_is_no_run(monkeypatch):
+    monkeypatch.setenv("S2MIA", "/bin/true")
+    with pytest.raises(s2mia.RunError, match="^s2mia ended with status 0$"):
+        s2mia.train("cue-2x1")
+
+
 def test_an_interrupt_ends_the_run_after_a_checkpoint(tmp_path):
     """In a process of its own, which gets the signal as soon as the run has a first line of metrics."""
     run = tmp_path / "run"

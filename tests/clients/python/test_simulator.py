@@ -1,5 +1,7 @@
 """The simulator under PettingZoo's and Gymnasium's interfaces: it passes their tests, and bad input is refused in one line."""
 
+import pathlib
+import struct
 import warnings
 
 import numpy as np
@@ -30,7 +32,7 @@ def test_one_agent_passes_the_checker_of_gymnasium(task):
 
 
 def test_one_agent_drives_the_whole_robot_and_observes_the_global_state():
-    whole, team = s2mia.gym_env("ant", render_mode="rgb_array"), s2mia.parallel_env("ant-2x4")
+    whole, team = s2mia.gym_env(pathlib.Path("ant"), render_mode="rgb_array"), s2mia.parallel_env("ant-2x4")
     assert whole.task == team.task and whole.action_space.shape == (8,)
     check_env(whole)
     state, _ = whole.reset(seed=3)
@@ -128,6 +130,27 @@ def test_a_run_with_other_steps_of_backpropagation_can_be_repeated():
     s2mia.parallel_env("ant-4x2", policy__backpropagation_steps=5, environments__steps=25).reset()
 
 
+def test_a_fault_ends_the_episode_with_a_word_in_the_infos():
+    team, one, envs = s2mia.parallel_env("ant-4x2"), s2mia.gym_env("ant"), s2mia.vector_env("ant-4x2", 2)
+    team.reset()
+    one.reset()
+    envs.reset()
+    whole = team.save()
+    # One of the velocities, so fast that the next step leaves the bounds.
+    spoilt = whole[:108] + struct.pack("<f", 999) + whole[112:]
+    team.restore(spoilt)
+    one.restore(spoilt)
+    envs.simulator.native.restore(1, spoilt)
+    _, rewards, terminated, truncated, infos = team.step(rest(team))
+    names = team.possible_agents
+    assert infos == {name: {"fault": True} for name in names} and team.agents == []
+    assert (rewards, terminated, truncated) == tuple(dict.fromkeys(names, value) for value in (0, False, True))
+    assert one.step(np.zeros(8))[1:] == (0, False, True, {"fault": True})
+    _, rewards, terminated, truncated, infos = envs.step(np.zeros((2, 4, 2)))
+    assert truncated.tolist() == infos["fault"].tolist() == infos["_fault"].tolist() == [False, True]
+    assert rewards[1] == 0 != rewards[0] and not terminated.any()
+
+
 def test_what_a_step_returned_does_not_change_with_the_next():
     env = s2mia.parallel_env("ant-4x2")
     env.reset()
@@ -160,7 +183,7 @@ def test_disturbances_act_as_in_training_unless_others_are_chosen():
         return seen
 
     assert starts() == starts(disturbances="training")
-    assert starts() != starts(disturbances="off")
+    assert starts() != starts(disturbances="off") == starts(disturbances="evaluation")
 
 
 def test_a_weight_of_the_reward_is_a_setting():
@@ -185,7 +208,9 @@ def test_a_task_file_is_an_environment():
     ("make", "message"),
     [
         (lambda: s2mia.parallel_env("ant-4x3"), "settings: unknown task `ant-4x3`; did you mean `ant-4x2`?"),
-        (lambda: s2mia.gym_env("ants"), "settings: unknown task `ants`"),
+        (lambda: s2mia.gym_env("ants"), "unknown robot 'ants'; did you mean 'ant'?"),
+        (lambda: s2mia.gym_env("halfcheetah-2x2"), "did you mean `halfcheetah-2x3`?"),
+        (lambda: s2mia.gym_env("zebra"), "settings: unknown task `zebra`"),
         (lambda: s2mia.parallel_env("no.toml"), "no.toml: No such file"),
         (lambda: s2mia.parallel_env("ant-4x2", observation__mod="full_id"), "did you mean `observation.mode`?"),
         (lambda: s2mia.parallel_env("ant-4x2", observation__mode="eyes"), "observation.mode"),
