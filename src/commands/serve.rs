@@ -57,10 +57,10 @@ pub(super) fn run(arguments: &ServeArguments) -> anyhow::Result<()> {
 
 async fn serve(run: &Path, served: ServedPolicies, listening: Listening) -> anyhow::Result<()> {
     let (listener, url) = listening.open().await?;
-    let version = served.newest.borrow().name.version;
-    output::line(format!("{} serves its policies of iteration {version} on {url}", run.display()));
     let (stop_sender, stop) = watch::channel(false);
     process::stop_on_signal(stop_sender, || output::line("stopping"))?;
+    let version = served.newest.borrow().name.version;
+    output::line(format!("{} serves its policies of iteration {version} on {url}", run.display()));
     serve_policies(served, listener, stop).await.context("the service ended")
 }
 

@@ -264,16 +264,19 @@ fn a_run_of_another_commit_is_verified_and_a_difference_names_both_commits() {
     let mut other = Command::new(&program);
     let own = tiny("train", &folder, &["run.iterations=2"]);
     success(other.args(own.get_args()));
-    let [own, other] = [Command::new(env!("CARGO_BIN_EXE_s2mia")), Command::new(&program)]
-        .map(|mut program| success(program.arg("--version")).0);
-    let build = |version: &str| version.trim_end().split_once(' ').unwrap().1.to_owned();
+    let own = succeeded(&["--version"]).trim_end().split_once(' ').unwrap().1.to_owned();
+    let starts = fs::read_to_string(folder.join("starts.jsonl")).unwrap();
+    let start: Value = serde_json::from_str(starts.lines().next().unwrap()).unwrap();
+    let recorded = |key: &str| start[key].as_str().unwrap().to_owned();
+    let other = format!("{}+{}", recorded("version"), recorded("git_commit"));
+    assert_ne!(other, own);
     let told = succeeded(&["verify", text(&folder)]);
-    let builds = format!("computed by {}; this is {}", build(&other), build(&own));
+    let builds = format!("computed by {other}; this is {own}");
     assert!(told.contains(&builds), "{told}");
     let lines = folder.join("metrics.jsonl");
     change(&lines, |line| line["iteration"] == 1, |line| line["env_steps"] = 1.into());
     let line = doubted(&folder, 2);
-    let builds = format!("{} computed the run, and this program is {}", build(&other), build(&own));
+    let builds = format!("{other} computed the run, and this program is {own}");
     assert!(line.contains(&builds) && line.contains("may compute other numbers"), "{line}");
 }
 
