@@ -52,6 +52,7 @@ const TEAMS: &[(&str, &[u8])] = teams!(
     "halfcheetah-2x3",
     "halfcheetah-pushed-2x3",
     "walker2d-pushed-2x3",
+    "ant-4x2",
     "ant-pushed-4x2",
     "quadruped-4x3",
     "carry-light-2x2",
