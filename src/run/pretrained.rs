@@ -50,9 +50,14 @@ macro_rules! teams {
 /// Task and policies of each team, as actors get them.
 const TEAMS: &[(&str, &[u8])] = teams!(
     "halfcheetah-2x3",
+    "halfcheetah-3x2",
+    "halfcheetah-6x1",
+    "walker2d-2x3",
+    "walker2d-3x2",
+    "ant-2x4",
+    "ant-4x2",
     "halfcheetah-pushed-2x3",
     "walker2d-pushed-2x3",
-    "ant-4x2",
     "ant-pushed-4x2",
     "quadruped-4x3",
     "carry-light-2x2",
