@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use crate::processes::{Background, children, has_begun, signal};
-use crate::runs::{Runs, inspect, succeeded, text, tiny, train};
+use crate::runs::{Runs, SMALL_MADDPG, inspect, succeeded, text, tiny, train};
 
 /// A disturbance of a run of six iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,21 +55,12 @@ enum Rule {
 use Rule::{OnPolicy, Recurrent, Replay};
 
 impl Rule {
-    /// Settings with a small replay and small networks; two of the six iterations only warm up.
+    /// Settings of the rule.
     fn settings(self) -> &'static [&'static str] {
         match self {
             OnPolicy => &[],
             Recurrent => &["critic.core=gru"],
-            Replay => &[
-                "algorithm=maddpg",
-                "policy.width=8",
-                "policy.layers=1",
-                "critic.layers=1",
-                "maddpg.replay=200",
-                "maddpg.batch=16",
-                "maddpg.n_step=3",
-                "maddpg.warm_up=160",
-            ],
+            Replay => &SMALL_MADDPG,
         }
     }
 }

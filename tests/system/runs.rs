@@ -26,6 +26,18 @@ const TINY: [&str; 17] = [
     "checkpoint.every=2",
 ];
 
+/// MADDPG with a small replay and small networks; two of six iterations only warm up.
+pub(crate) const SMALL_MADDPG: [&str; 8] = [
+    "algorithm=maddpg",
+    "policy.width=8",
+    "policy.layers=1",
+    "critic.layers=1",
+    "maddpg.replay=200",
+    "maddpg.batch=16",
+    "maddpg.n_step=3",
+    "maddpg.warm_up=160",
+];
+
 /// The length of a run of two iterations without evaluations.
 pub(crate) const SHORT: [&str; 2] = ["run.iterations=2", "evaluation.every_steps=0"];
 

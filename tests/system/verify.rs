@@ -10,8 +10,8 @@ use serde_json::Value;
 use crate::cue_service::{CueService, Faults};
 use crate::roles::another_build;
 use crate::runs::{
-    Runs, SHORT, command, evaluated, failed, inspect, metrics, refused, succeeded, success, text,
-    tiny, train,
+    Runs, SHORT, SMALL_MADDPG, command, evaluated, failed, inspect, metrics, refused, succeeded,
+    success, text, tiny, train,
 };
 
 /// A run of six iterations of 80 steps: with checkpoints after 2, 4 and 6, and evaluations there and at the start.
@@ -66,21 +66,11 @@ fn copy(run: &Path, to: PathBuf) -> PathBuf {
 
 #[test]
 fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_for_every_rule() {
-    let maddpg = [
-        "algorithm=maddpg",
-        "policy.width=8",
-        "policy.layers=1",
-        "critic.layers=1",
-        "maddpg.replay=200",
-        "maddpg.batch=16",
-        "maddpg.n_step=3",
-        "maddpg.warm_up=160",
-    ];
     for (name, settings) in [
         ("default", &[][..]),
         // Every step depends on the length of the run.
         ("decay", &["update.learning_rate_decay=linear"]),
-        ("maddpg", &maddpg),
+        ("maddpg", &SMALL_MADDPG),
     ] {
         let runs = Runs::new();
         let folder = runs.folder(name);

@@ -64,7 +64,7 @@ impl JsonLines {
 
     /// Warns of iterations up to `last` that have no line.
     pub(crate) fn warn_of_gaps(&self, lines: &[Value], last: u64) {
-        let lost = gaps(&iterations(lines, "iteration"), last);
+        let lost = gaps(&iterations(lines), last);
         if !lost.is_empty() {
             tracing::warn!(
                 "{} has no lines of iterations {}",
@@ -210,10 +210,10 @@ fn opened(path: &Path) -> Result<File, FileError> {
     Ok(file)
 }
 
-/// The iterations of the lines of `kind`; a line without a kind is one of an iteration.
-pub(crate) fn iterations(lines: &[Value], kind: &str) -> BTreeSet<u64> {
-    let of_kind = |line: &&Value| line.get("kind").map_or(kind == "iteration", |it| it == kind);
-    lines.iter().filter(of_kind).filter_map(|line| line["iteration"].as_u64()).collect()
+/// The iterations that have a line; a line without a kind is one of an iteration.
+fn iterations(lines: &[Value]) -> BTreeSet<u64> {
+    let of_iteration = |line: &&Value| line.get("kind").is_none_or(|kind| kind == "iteration");
+    lines.iter().filter(of_iteration).filter_map(|line| line["iteration"].as_u64()).collect()
 }
 
 /// Iterations up to `last` that are not `present`, as ranges for people.
