@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and another setting of it.
-const CASES: [[&str; 3]; 10] = [
+const CASES: [[&str; 3]; 11] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -22,6 +22,7 @@ const CASES: [[&str; 3]; 10] = [
     ["halfcheetah-2x3", "mappo", "gru"],
     ["halfcheetah-2x3", "maddpg", "mlp"],
     ["halfcheetah-2x3", "happo-s2mia", "gru critic.core=gru"],
+    ["halfcheetah-2x3", "happo-sm-encoder", "mlp"],
 ];
 
 /// Cases that are repeated with each SIMD width: both cores, the replay, and a recurrent critic.

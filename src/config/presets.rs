@@ -45,6 +45,7 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "algorithms":
     "happo-s2mia",
     "happo-sm",
+    "happo-sm-encoder",
     "happo-smh",
     "happo-mi",
     "happo-0",

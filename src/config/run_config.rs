@@ -301,6 +301,7 @@ mod tests {
         for (algorithm, alpha, lambda, entropy) in [
             ("happo", 0.0, 0.0, 0.01),
             ("happo-sm", 0.01, 0.0, 0.0),
+            ("happo-sm-encoder", 0.01, 0.0, 0.0),
             ("happo-smh", 0.01, 0.0, 0.01),
             ("happo-s2mia", 0.01, 0.01, 0.0),
             ("happo-mi", 0.0, 0.01, 0.0),
