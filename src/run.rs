@@ -8,6 +8,7 @@ pub(crate) mod recorded;
 pub(crate) mod resume;
 pub(crate) mod run_path;
 pub(crate) mod session;
+pub(crate) mod start;
 pub(crate) mod stored;
 pub(crate) mod supervisor;
 pub(crate) mod verification;
@@ -127,6 +128,7 @@ pub(crate) fn prepare_config(
         resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;
     }
     launch.resume = resumed.is_some();
+    launch.start = start::policies(&config.resolved, resumed)?;
     if !launch.resume {
         message_steps::fit(&mut config, &mut launch)?;
     }
@@ -200,6 +202,7 @@ fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Dige
         build: BUILD.to_owned(),
         rollout_fingerprint: fingerprint,
         resume: false,
+        start: None,
     }
 }
 

@@ -107,6 +107,7 @@ impl CaseSettings {
             rollout_fingerprint: rollout::rollout_fingerprint(),
             manifest: serde_json::json!({}),
             resume: false,
+            start: None,
         })
     }
 }

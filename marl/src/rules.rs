@@ -5,6 +5,7 @@ mod happo;
 mod maddpg;
 mod mappo;
 mod on_policy;
+pub(crate) mod start;
 
 use policy::{PolicyConfig, RunSeed};
 

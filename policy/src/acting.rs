@@ -5,6 +5,8 @@
 
 mod reader;
 
+use std::fmt;
+
 use kernels::{Activation, Input, Packed, SequenceLayout, Workspace};
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
@@ -161,6 +163,31 @@ impl ActorSpec {
     }
 }
 
+/// What determines the shapes of the weights and the meaning of the outputs.
+impl fmt::Display for ActorSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} observation features, ", self.observation)?;
+        match self.core {
+            CoreKind::Gru => write!(f, "gru with encoder {}, hidden {}", self.encoder, self.hidden),
+            CoreKind::Mlp => write!(f, "mlp with width {}, layers {}", self.width, self.layers),
+        }?;
+        if self.input_norm() == InputNorm::LayerNorm {
+            f.write_str(" after a layer_norm")?;
+        }
+        match (self.head(), self.head().scale()) {
+            (Head::Categorical { choices }, _) => write!(f, ", {choices} choices"),
+            (_, None) => {
+                let (action, scale) = (self.action, self.sigma_scale);
+                write!(f, ", {action} Gaussian actions with sigma_scale {scale}")
+            }
+            (_, Some((half, middle))) => {
+                let (low, high) = (middle - half, middle + half);
+                write!(f, ", {} actions squashed into {low} to {high}", self.action)
+            }
+        }
+    }
+}
+
 /// One agent's policy.
 #[derive(Clone, Debug)]
 pub struct ActorPolicy {
@@ -258,6 +285,12 @@ impl ActorPolicy {
     #[must_use]
     pub fn chunk_steps(&self) -> usize {
         self.spec.chunk_steps
+    }
+
+    /// The standardisation of observations before the network, if any.
+    #[must_use]
+    pub fn standardisation(&self) -> Option<&Standardisation> {
+        self.standardisation.as_ref()
     }
 
     /// Standard deviations of the action noise, `[act]`; empty for a categorical policy.

@@ -11,6 +11,7 @@ use proto::Episodes;
 use recording::trajectory_log::{is_log_name, totals};
 use tokio::sync::watch;
 
+use crate::config::keys::START;
 use crate::config::run_config::RunConfig;
 use crate::endpoints::PageArguments;
 use crate::figures::{chart, learning_curve};
@@ -77,8 +78,12 @@ async fn train(
 
 /// The first line: the folder and the settings of the run.
 fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
+    let start = match config.resolved.text(START) {
+        "" => String::new(),
+        start => format!(", from the policies of {start}"),
+    };
     format!(
-        "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps",
+        "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps{start}",
         folder.display(),
         config.resolved.text("algorithm"),
         config.run.seed,

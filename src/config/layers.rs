@@ -38,6 +38,9 @@ type Values = BTreeMap<String, Value>;
 /// A value of the kind of a reward term's weight, which has no default here.
 static A_WEIGHT: Value = Value::Float(0.0);
 
+/// A value of the kind of the other keys without a default.
+static A_TEXT: Value = Value::String(String::new());
+
 /// Every key with its default.
 static DEFAULTS: LazyLock<Values> = LazyLock::new(|| {
     let table: Table = presets::BASE.text.parse().expect("a test shows that base.toml is TOML");
@@ -146,7 +149,12 @@ fn asked_layers(request: &Request) -> Result<Vec<SettingsLayer>, ConfigError> {
 
 /// The settings whose keys equal `word` apart from separators, with or without their section.
 pub(crate) fn spelled(word: &str) -> Vec<&'static str> {
-    keys::spelled(word, DEFAULTS.keys().map(String::as_str))
+    keys::spelled(word, names())
+}
+
+/// All keys but the weights of reward terms.
+fn names() -> impl Iterator<Item = &'static str> {
+    DEFAULTS.keys().map(String::as_str).chain(keys::OPTIONAL)
 }
 
 /// Refuses a variable that spells a setting without being one, which would change nothing unnoticed.
@@ -328,11 +336,14 @@ fn known(place: &str, key: &str) -> Result<&'static Value, ConfigError> {
     if keys::weighted_term(key).is_some() {
         return Ok(&A_WEIGHT);
     }
+    if keys::OPTIONAL.contains(&key) {
+        return Ok(&A_TEXT);
+    }
     if let Some(inside) = first_inside(key) {
         let expected = format!("a table with keys such as `{inside}`");
         return Err(wrong_kind(place, key, &expected, "a value"));
     }
-    let tip = tip(key, DEFAULTS.keys().map(String::as_str));
+    let tip = tip(key, names());
     Err(ConfigError::UnknownKey { place: place.to_owned(), key: key.to_owned(), tip })
 }
 

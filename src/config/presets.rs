@@ -62,7 +62,8 @@ pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
 }
 
-/// The description of a setting in `configs/base.toml`; empty if its name says it all.
+/// The description of a setting in `configs/base.toml`, where one without a default is a comment; empty if its name says it
+/// all.
 pub(crate) fn description(key: &str) -> &'static str {
     let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
     let mut current = "";
@@ -70,6 +71,7 @@ pub(crate) fn description(key: &str) -> &'static str {
         if let Some(header) = line.strip_prefix('[') {
             current = header.trim_end_matches(']');
         }
+        let line = line.strip_prefix("# ").unwrap_or(line);
         let is_it = line.split_once('=').is_some_and(|(left, _)| left.trim() == name);
         if is_it && current == section {
             return line.split_once('#').map_or("", |(_, description)| description.trim());
@@ -112,6 +114,7 @@ mod tests {
         assert!(description("algorithm").is_empty());
         assert!(description("policy.layers").starts_with("mlp: "));
         assert!(description("critic.layers").is_empty());
+        assert!(description("policy.start").starts_with("trained policies"));
         assert!(description("run.iterations").ends_with("0: from env_steps"));
     }
 

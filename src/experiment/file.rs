@@ -10,6 +10,7 @@ use crate::config::line_and_message;
 use crate::config::own_task::OwnTask;
 use crate::errors::Usage;
 use crate::process::shell;
+use crate::run::pretrained::team_record;
 
 /// Settings that keys of the experiment file replace.
 const DECIDED: [&str; 8] = [
@@ -146,6 +147,15 @@ impl ExperimentFile {
         for task in of_variants.chain([&mut self.tasks]).flatten() {
             if OwnTask::is_path(task) {
                 *task = found(Path::new(task))?.to_string_lossy().into_owned();
+            }
+        }
+        let of_variants = self.variants.iter_mut().filter_map(|variant| variant.settings.as_mut());
+        for settings in of_variants.chain(self.settings.as_mut()) {
+            let policy = settings.get_mut("policy").and_then(Value::as_table_mut);
+            if let Some(Value::String(start)) = policy.and_then(|section| section.get_mut("start"))
+                && team_record(start).is_none()
+            {
+                *start = found(Path::new(start))?.to_string_lossy().into_owned();
             }
         }
         Ok(())

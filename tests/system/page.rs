@@ -275,7 +275,7 @@ fn folders_that_are_no_runs_and_addresses_of_other_machines_are_refused_in_one_l
     let folder = runs.folder("place");
     write_run(&folder.join("first"), 1.5);
     for (arguments, reason) in [
-        (&["first", "missing"][..], "`missing` is no run folder"),
+        (&["first", "missing"][..], "there is no `missing`"),
         (&["first", "--listen", "0.0.0.0:0"], "--insecure-allow-remote-page"),
         (&[], "there is no run in ./runs"),
     ] {

@@ -40,6 +40,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         rollout_fingerprint: Digest([2; 32]),
         manifest: json!({"program": "test"}),
         resume: false,
+        start: None,
     }
 }
 

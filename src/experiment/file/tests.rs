@@ -51,6 +51,8 @@ fn tasks_variants_seeds_and_a_length_are_enough() {
 fn paths_are_relative_to_the_file_and_those_of_the_programs_own_files_to_its_root() {
     let text = SAMPLE.replacen("actors = 1", "record = \"r.csv\"", 1);
     let text = text.replacen("\"ant-4x2\"", "\"robots/a.toml:two\"", 1);
+    let text = format!("{text}settings.policy.start = \"a:best\"\n");
+    let text = text.replacen("threshold", "settings.policy.start = \"ant-4x2\"\nthreshold", 1);
     let whole = |path: &str| std::path::absolute(path).unwrap().display().to_string();
     for (path, base) in [
         ("a.toml", ""),
@@ -65,6 +67,10 @@ fn paths_are_relative_to_the_file_and_those_of_the_programs_own_files_to_its_roo
         assert_eq!(file.folder.display().to_string(), format!("{base}runs/sample"), "{path}");
         assert_eq!(file.record.display().to_string(), format!("{base}r.csv"), "{path}");
         assert_eq!(file.tasks, ["halfcheetah-2x3", &format!("{base}robots/a.toml:two")]);
+        let start = |settings: &Option<Table>| assignments(settings.as_ref().unwrap()).concat();
+        assert!(start(&file.settings).contains("policy.start=ant-4x2"));
+        let own = format!("policy.start={base}a:best");
+        assert!(start(&file.variants[1].settings).contains(&own), "{path}");
     }
 }
 
