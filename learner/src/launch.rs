@@ -47,6 +47,8 @@ pub struct Launch {
     pub folder: PathBuf,
     /// All settings, for the run folder.
     pub config_toml: String,
+    /// Command that begins a run with the same settings, for the page.
+    pub command: String,
     /// Hash of the semantic settings.
     pub config_sha256: Digest,
     /// The numeric fingerprint that every actor must have.

@@ -157,7 +157,7 @@ impl Closing<'_> {
             }
         };
         format!(
-            "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
+            "next:\n  s2mia page {run}\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
         )
     }
 }
@@ -218,6 +218,7 @@ mod tests {
             "finished: 1,000,000 env steps, 250 iterations, 12m03s",
             "evaluation return -3.2 -> 2345.6",
             "checkpoint: runs/a/checkpoints/iter_00000250",
+            "s2mia page runs/a",
             "s2mia plot runs/a",
             "s2mia eval runs/a",
             "s2mia record runs/a",

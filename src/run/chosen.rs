@@ -71,7 +71,7 @@ fn in_folder(folder: &Path) -> anyhow::Result<PathBuf> {
 }
 
 /// A checkpoint of the run at `run`.
-fn of_run(run: &Path, which: &Which) -> anyhow::Result<PathBuf> {
+pub(crate) fn of_run(run: &Path, which: &Which) -> anyhow::Result<PathBuf> {
     let shown = run.display();
     let only =
         |what| Usage::new(format!("{shown} is {what}, which has no checkpoints to choose from"));
