@@ -52,7 +52,8 @@ fn explained(config: &RunConfig, key: &str) -> String {
     };
     // The policies that a place names are part of the hash, not the place.
     let is_start = key == keys::START;
-    let matters = is_start || keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
+    let matters =
+        is_start || keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
     let effect = match matters {
         true => "part of config_sha256: another value is another run",
         false => "affects no result of the steps that are trained",
