@@ -302,9 +302,9 @@ impl Exchange {
         sender: ConnectionId,
         beat: &Heartbeat,
     ) -> Result<HeartbeatAnswer, Refusal> {
-        let (lease_valid, run_state) =
-            self.change(|shared| (shared.table.heartbeat(sender, beat), shared.table.state()));
-        Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })
+        let (lease_valid, is_over) =
+            self.change(|shared| (shared.table.heartbeat(sender, beat), shared.table.is_over()));
+        Ok(HeartbeatAnswer { lease_valid: lease_valid?, is_over })
     }
 
     /// The weights with this name.
