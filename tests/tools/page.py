@@ -88,6 +88,7 @@ def finished(page: Tab, folder: pathlib.Path, pictures: pathlib.Path | None) -> 
         page.wait_until(f"{EPISODE}.includes(', episode 1: return ')")
         page.evaluate(choose.format(name="time", value=3, event="input"))
         page.evaluate("[...document.querySelectorAll('[data-camera]')].at(-1).click()")
+        page.wait_until("['time=3.00', 'episode=1', 'camera='].every((part) => location.hash.includes(part))")
         photograph(page, "finished", pictures)
         page.look("light", *SIZES["wide"])
         page.wait_until(f"!({MOVES})")
@@ -105,6 +106,8 @@ def metrics_and_settings(page: Tab, url: str, folder: pathlib.Path) -> None:
     page.wait_until(f"{FIGURES} === 'chart exact_kl' && document.getElementById('overview').hidden")
     meaning = "document.querySelector('figure summary').title"
     page.wait_until(f"{meaning}.includes('closed form, after the update')")
+    # The tables of docs/PAPER.md explain every metric.
+    page.wait_until("drawn.size > 40 && [...drawn.values()].every((chart) => meanings.has(chart.metric))")
     # The arrow key moves to the next tab, and the address follows.
     key = "new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true})"
     page.evaluate(f"document.getElementById('tab-metrics').dispatchEvent({key})")

@@ -1,6 +1,6 @@
 // The page: what is shown, in the fragment of the address, and requests for it.
 
-const STATUS_MILLIS = 1000, CURVES_MILLIS = 3000, PATIENCE_MILLIS = 6000, PACE_MILLIS = 60000;
+const STATUS_MILLIS = 1000, CURVES_MILLIS = 3000, PATIENCE_MILLIS = 6000, PACE_MILLIS = 60000, FRAGMENT_MILLIS = 400;
 const TABS = ["overview", "metrics", "settings"];
 
 /// What is shown, as text by name. What differs from these defaults is in the fragment.
@@ -9,7 +9,7 @@ const DEFAULTS = {
   run: "", policies: "", episode: "0", camera: "30,25,1", time: "",
 };
 
-let view = {...DEFAULTS}, smoothing = 0, zoom = null, drawn = new Map(), meanings = new Map();
+let view = {...DEFAULTS}, writing = null, smoothing = 0, zoom = null, drawn = new Map(), meanings = new Map();
 let runs = [], facts = null, factsOf = null, filmOf = null, looks = [], version = null, curvesAt = -Infinity, lostAt = null;
 
 const list = (text) => text ? text.split("\n") : [];
@@ -30,13 +30,18 @@ function restore() {
   show(true);
 }
 
-/// Changes the view and writes it into the fragment.
+/// Changes the view, and soon the fragment: browsers refuse more than three changes in a second, and a drag has many.
 function change(changed) {
   Object.assign(view, changed);
+  writing ??= setTimeout(writeFragment, FRAGMENT_MILLIS);
+  if (Object.keys(changed).some((name) => !["camera", "time"].includes(name))) show(true);
+}
+
+function writeFragment() {
+  writing = null;
   const different = Object.entries(view).filter(([name, value]) => value !== DEFAULTS[name]);
   const fragment = new URLSearchParams(different).toString();
   if (fragment !== location.hash.slice(1)) history.replaceState(null, "", fragment ? `#${fragment}` : location.pathname);
-  if (Object.keys(changed).some((name) => !["camera", "time"].includes(name))) show(true);
 }
 
 /// Shows the view of what is known; `all`: also the chart under the pointer.
