@@ -338,6 +338,7 @@ mod tests {
             spread,
             episodes: 10,
             sampled: false,
+            metrics: Vec::new(),
         };
         assert_eq!(
             notice(&Event::Evaluation(report)).as_deref(),

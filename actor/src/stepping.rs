@@ -201,6 +201,7 @@ impl Worlds {
             episode: work.episode,
             extrinsic_return: episode.extrinsic_return,
             steps: episode.steps,
+            reward_terms: episode.reward_terms,
         };
         Ok((result, recorder.map(FilmRecorder::film)))
     }

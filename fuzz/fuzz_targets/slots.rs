@@ -153,7 +153,7 @@ impl HostileActors {
 
     fn evaluate(&mut self, lease: u8, episode: u32, lie: Lie) {
         let Some(lease) = self.lease_at(lease).cloned() else { return };
-        let result = EvaluationResult { episode, extrinsic_return: 1.0, steps: 5 };
+        let result = EvaluationResult { episode, steps: 5, ..EvaluationResult::default() };
         let header = bent(PushHeader::of(&lease, result.digest(0)), lie);
         let _taken = self.table.take(lease.connection, &header, ResultPart::Episode(result));
     }

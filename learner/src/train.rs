@@ -6,4 +6,5 @@ pub mod evaluation;
 pub(crate) mod fail_points;
 pub mod prepare;
 pub(crate) mod provenance;
+pub mod reward_terms;
 pub mod trainer;

@@ -57,6 +57,7 @@ pub(crate) fn of_chunk(chunk: &wire::TrajectoryChunk, origin: &RolloutOrigin) ->
         end.environments.iter().for_each(|state| canonical.blob(state));
         end.recurrent.iter().for_each(|tensor| canonical.blob(&tensor.data));
     }
+    canonical.terms(&chunk.reward_terms);
     canonical.finish()
 }
 
@@ -67,6 +68,7 @@ pub(crate) fn of_evaluation(result: &wire::EvaluationResult, iteration: u64) -> 
     canonical.integers(&[result.episode]);
     canonical.0.update(result.extrinsic_return.to_le_bytes());
     canonical.integers(&[result.steps]);
+    canonical.terms(&result.reward_terms);
     canonical.finish()
 }
 
@@ -88,6 +90,13 @@ impl Canonical {
     fn blob(&mut self, data: &[u8]) {
         self.length(data.len());
         self.0.update(data);
+    }
+
+    /// Sums of reward terms, of which an actor may send none.
+    fn terms(&mut self, sums: &[f64]) {
+        if !sums.is_empty() {
+            self.blob(&sums.iter().flat_map(|sum| sum.to_le_bytes()).collect::<Vec<_>>());
+        }
     }
 
     fn tensors<const N: usize>(&mut self, tensors: [&Option<wire::Tensor>; N]) {
@@ -114,8 +123,14 @@ mod tests {
     #[test]
     fn an_evaluation_has_the_digest_that_python_computes() {
         // hashlib.sha256(b"s2mia.v1.EvaluationResult" + struct.pack("<QIdI", 7, 3, 1.5, 1000)).hexdigest()
-        let result = wire::EvaluationResult { episode: 3, extrinsic_return: 1.5, steps: 1000 };
+        let (episode, extrinsic_return, reward_terms) = (3, 1.5, Vec::new());
+        let mut result =
+            wire::EvaluationResult { episode, extrinsic_return, steps: 1000, reward_terms };
         let expected = "6b3a218eabaa94b37908a403c1bb829da0416b542b6fa0504df2cdf63abafa0c";
+        assert_eq!(of_evaluation(&result, 7).to_string(), expected);
+        // The same bytes + struct.pack("<Q2d", 16, 2.0, -0.5).
+        result.reward_terms = vec![2.0, -0.5];
+        let expected = "119a655a6338fab4b5ee118ed63bcf88b46f2b180fd6d70fb2ddd2c154938089";
         assert_eq!(of_evaluation(&result, 7).to_string(), expected);
     }
 

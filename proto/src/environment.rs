@@ -32,6 +32,8 @@ pub struct EnvironmentSpec {
     /// The actor standardises each observation of an external program by the mean and standard deviation over its own
     /// features.
     pub feature_z: bool,
+    /// Names of the terms whose sum is the reward, `[K]`; empty for games and external programs. Only metrics use them.
+    pub reward_terms: Vec<String>,
 }
 
 /// One agent of the team.
@@ -103,7 +105,7 @@ pub struct SpecDifference {
 }
 
 impl EnvironmentSpec {
-    /// The first difference of `found` from this description, in field order; `None` if equal but for [`AgentSpec::near`].
+    /// The first difference of `found` from this description, in field order, but for [`AgentSpec::near`] and the reward's terms.
     #[must_use]
     pub fn first_difference(&self, found: &Self) -> Option<SpecDifference> {
         differ("task", &found.task, &self.task)
@@ -130,8 +132,9 @@ impl EnvironmentSpec {
         if !self.state_kind.is_empty() {
             short_name(&self.state_kind, &format!("{field}.state_kind"))?;
         }
+        check_names(&self.reward_terms, |i| format!("{field}.reward_terms[{i}]"))?;
         positive(self.agents.len() as u64, &format!("{field}.agents"))?;
-        check_names(&self.state, &format!("{field}.state"))?;
+        check_features(&self.state, &format!("{field}.state"))?;
         for (i, agent) in self.agents.iter().enumerate() {
             let agent_field = format!("{field}.agents[{i}]");
             agent.check_names(&agent_field)?;
@@ -149,6 +152,8 @@ impl EnvironmentSpec {
     /// global state, or `feature_z` is set.
     pub fn from_service(wire: wire::DescribeEnvironmentResponse) -> Result<Self, Refusal> {
         let spec = Self::from_wire(required(wire.environment, "environment")?, "environment")?;
+        // Answers to steps have no terms.
+        let spec = Self { reward_terms: Vec::new(), ..spec };
         positive(spec.state.len() as u64, "environment.state")?;
         for (i, agent) in spec.agents.iter().enumerate() {
             let field = format!("environment.agents[{i}]");
@@ -176,6 +181,7 @@ impl EnvironmentSpec {
             state_version: self.state_version,
             max_state_bytes: self.max_state_bytes,
             feature_z: self.feature_z,
+            reward_terms: self.reward_terms.clone(),
         }
     }
 
@@ -197,6 +203,7 @@ impl EnvironmentSpec {
             state_version: wire.state_version,
             max_state_bytes: wire.max_state_bytes,
             feature_z: wire.feature_z,
+            reward_terms: wire.reward_terms,
         })
     }
 }
@@ -221,21 +228,15 @@ impl AgentSpec {
 
     fn check_names(&self, field: &str) -> Result<(), Refusal> {
         short_name(&self.name, &format!("{field}.name"))?;
-        for (i, joint) in self.joints.iter().enumerate() {
-            short_name(joint, &format!("{field}.joints[{i}]"))?;
-        }
-        check_names(&self.observation, &format!("{field}.observation"))
+        check_names(&self.joints, |i| format!("{field}.joints[{i}]"))?;
+        check_features(&self.observation, &format!("{field}.observation"))
     }
 
     /// Checks the indices of what it observes in a global state of `state` features.
     fn check_indices(&self, state: usize, field: &str) -> Result<(), Refusal> {
-        match self.seen.iter().find(|index| **index >= state) {
-            None => Ok(()),
-            Some(index) => {
-                let detail = format!("index {index} in a global state of {state} features");
-                Err(bad_value(field, detail))
-            }
-        }
+        let Some(index) = self.seen.iter().find(|index| **index >= state) else { return Ok(()) };
+        let detail = format!("index {index} in a global state of {state} features");
+        Err(bad_value(field, detail))
     }
 
     pub(crate) fn from_wire(wire: wire::AgentSpec, field: &str) -> Result<Self, Refusal> {
@@ -334,9 +335,16 @@ fn features(wire: Vec<wire::FeatureSpec>, field: &str) -> Result<Vec<FeatureSpec
     wire.into_iter().enumerate().map(feature).collect()
 }
 
-fn check_names(features: &[FeatureSpec], field: &str) -> Result<(), Refusal> {
-    let mut features = features.iter().enumerate();
-    features.try_for_each(|(i, feature)| short_name(&feature.name, &format!("{field}[{i}].name")))
+fn check_features(features: &[FeatureSpec], field: &str) -> Result<(), Refusal> {
+    let names = features.iter().map(|feature| &feature.name);
+    check_names(names, |i| format!("{field}[{i}].name"))
+}
+
+fn check_names<'a>(
+    names: impl IntoIterator<Item = &'a String>,
+    field: impl Fn(usize) -> String,
+) -> Result<(), Refusal> {
+    names.into_iter().enumerate().try_for_each(|(i, name)| short_name(name, &field(i)))
 }
 
 fn agent(found: &AgentSpec, expected: &AgentSpec) -> Option<SpecDifference> {

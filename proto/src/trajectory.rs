@@ -30,6 +30,8 @@ pub struct TrajectoryChunk {
     pub finals: Vec<FinalStep>,
     /// Present only in the slot's last chunk.
     pub end: Option<SlotEnd>,
+    /// `[E, K]`: sum over the steps of each term of the reward; empty if the actor left them out.
+    pub reward_terms: Vec<f64>,
 }
 
 /// One agent's part of a chunk.
@@ -68,7 +70,7 @@ pub struct SlotEnd {
 }
 
 /// Result of one evaluation episode.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct EvaluationResult {
     /// Index of the episode.
     pub episode: u32,
@@ -76,6 +78,8 @@ pub struct EvaluationResult {
     pub extrinsic_return: f64,
     /// Length of the episode in steps.
     pub steps: u32,
+    /// `[K]`: sum over the episode of each term of the reward; empty if the actor left them out.
+    pub reward_terms: Vec<f64>,
 }
 
 impl TrajectoryChunk {
@@ -129,6 +133,7 @@ impl TrajectoryChunk {
             truncated: Some(tensor::flags(&rows, &self.truncated)),
             finals: Some(self.finals_message()),
             end: self.end.as_ref().map(SlotEnd::message),
+            reward_terms: self.reward_terms.clone(),
         }
     }
 
@@ -172,7 +177,7 @@ impl EvaluationResult {
     /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::EvaluationResult {
-        let Self { episode, extrinsic_return, steps } = *self;
-        wire::EvaluationResult { episode, extrinsic_return, steps }
+        let Self { episode, extrinsic_return, steps, reward_terms } = self.clone();
+        wire::EvaluationResult { episode, extrinsic_return, steps, reward_terms }
     }
 }

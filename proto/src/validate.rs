@@ -42,7 +42,8 @@ impl EvaluationResult {
     /// `claimed`.
     ///
     /// # Errors
-    /// If the digest is wrong, the return is not finite or too large, or the number of steps is impossible.
+    /// If the digest is wrong, the return or a sum of reward terms is not finite or too large, or the number of steps or terms is
+    /// impossible.
     pub fn from_wire(
         wire: &wire::EvaluationResult,
         run: &RunDescription,
@@ -58,7 +59,13 @@ impl EvaluationResult {
         }
         let most = run.environment.episode_steps;
         from_1_to(most as usize, wire.steps as usize, "steps", "evaluation.steps")?;
-        Ok(Self { episode: wire.episode, extrinsic_return: total, steps: wire.steps })
+        let (sums, field) = (&wire.reward_terms, "evaluation.reward_terms");
+        Ok(Self {
+            episode: wire.episode,
+            extrinsic_return: total,
+            steps: wire.steps,
+            reward_terms: read_terms(sums, run, [most as usize, 1], field)?,
+        })
     }
 }
 
@@ -109,7 +116,25 @@ fn read_chunk(
         truncated: read_flags(wire.truncated.as_ref(), &rows, "chunk.truncated")?,
         finals: read_finals(wire.finals.as_ref(), sizes)?,
         end: read_end(wire.end.as_ref(), sizes, last)?,
+        reward_terms: read_terms(&wire.reward_terms, sizes.run, rows, "chunk.reward_terms")?,
     })
+}
+
+/// Sums over at most `steps` steps of the reward's terms, `[rows, K]`; empty if they were left out.
+fn read_terms(
+    sums: &[f64],
+    run: &RunDescription,
+    [steps, rows]: [usize; 2],
+    field: &str,
+) -> Result<Vec<f64>, Refusal> {
+    if !sums.is_empty() {
+        length(sums.len(), rows * run.environment.reward_terms.len(), field)?;
+    }
+    let most = f64::from(MAX_MAGNITUDE) * steps as f64;
+    match sums.iter().position(|sum| !(-most..=most).contains(sum)) {
+        None => Ok(sums.to_vec()),
+        Some(at) => Err(unusable(field, &format!("element {at} is"), sums[at], most)),
+    }
 }
 
 fn read_agent(

@@ -9,12 +9,12 @@ use prost::Message;
 use proto::trajectory_log::DESCRIPTORS;
 use proto::{EnvironmentSpec, FeatureSpec};
 use serde_json::json;
-use sim::LinkShape;
 
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile, Schema};
 use crate::share::LoggedShare;
 use robot::RobotChannels;
+pub(crate) use scene::DrivenShape;
 
 /// The channels `/share`, `/agents/I`, `/step` and `/share_end`, and those of a simulated robot.
 pub(crate) struct ShareChannels {
@@ -31,7 +31,7 @@ impl ShareChannels {
     pub(crate) fn create(
         file: &mut McapFile,
         description: &EnvironmentSpec,
-        shapes: &[LinkShape],
+        shapes: &[DrivenShape],
     ) -> Result<Self, RecordError> {
         let mut agents = Vec::new();
         for (index, agent) in description.agents.iter().enumerate() {
@@ -42,7 +42,8 @@ impl ShareChannels {
             ];
             agents.push(channel(file, &format!("/agents/{index}"), "AgentStep", &about)?);
         }
-        let about = [("state", names(&description.state))];
+        let terms = json!(description.reward_terms).to_string();
+        let about = [("state", names(&description.state)), ("reward_terms", terms)];
         Ok(Self {
             agents,
             robot: match shapes {
@@ -68,7 +69,7 @@ impl ShareChannels {
         }
         for step in &share.steps {
             if let Some(robot) = &mut self.robot {
-                robot.pose(file, &step.pose)?;
+                robot.pose(file, &step.pose, &step.efforts)?;
             }
             for (channel, agent) in self.agents.iter_mut().zip(&step.agents) {
                 file.write(channel, &agent.encode_to_vec())?;

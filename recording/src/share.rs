@@ -19,6 +19,8 @@ pub struct LoggedShare {
 pub struct LoggedStep {
     /// Pose of the robot before the step; empty for a game, and in a share that is read from a log.
     pub pose: Pose,
+    /// Mean torques of the actuators during the step, N m, or forces on slides, N, for each joint of the pose.
+    pub efforts: Vec<f32>,
     /// Observation and action of each agent, `[N]`.
     pub agents: Vec<AgentStep>,
     /// State before the step, and its result.

@@ -15,10 +15,12 @@ impl ChunkBuilder {
     /// Starts chunk number `sequence` of a slot, at step `first_step`.
     pub(crate) fn new(sequence: u32, first_step: u32, environments: &dyn EnvironmentBatch) -> Self {
         let description = environments.description();
+        let terms = environments.count() * description.reward_terms.len();
         let chunk = TrajectoryChunk {
             sequence,
             first_step,
             agents: vec![AgentChunk::default(); description.agents.len()],
+            reward_terms: vec![0.0; terms],
             ..TrajectoryChunk::default()
         };
         Self { chunk }
@@ -50,7 +52,12 @@ impl ChunkBuilder {
     }
 
     /// Adds the actions, log-probabilities and results of a step.
-    pub(crate) fn push_step(&mut self, agents: &Agents, outcomes: &[Outcome]) {
+    pub(crate) fn push_step(
+        &mut self,
+        agents: &Agents,
+        outcomes: &[Outcome],
+        environments: &dyn EnvironmentBatch,
+    ) {
         for (agent, chunk) in self.chunk.agents.iter_mut().enumerate() {
             chunk.action.extend_from_slice(&agents.action[agent]);
             chunk.log_prob.extend_from_slice(&agents.log_prob[agent]);
@@ -58,6 +65,8 @@ impl ChunkBuilder {
         self.chunk.reward.extend(outcomes.iter().map(|outcome| outcome.reward));
         self.chunk.terminated.extend(outcomes.iter().map(|outcome| outcome.terminated));
         self.chunk.truncated.extend(outcomes.iter().map(|outcome| outcome.truncated));
+        let terms = (0..outcomes.len()).flat_map(|index| environments.reward_terms(index));
+        add(&mut self.chunk.reward_terms, terms);
         self.chunk.steps += 1;
     }
 
@@ -96,4 +105,9 @@ impl ChunkBuilder {
         self.chunk.end = Some(SlotEnd { environments, recurrent: agents.hidden.clone() });
         Ok(())
     }
+}
+
+/// Adds the terms of a step's rewards to their sums.
+pub(crate) fn add<'a>(sums: &mut [f64], terms: impl IntoIterator<Item = &'a f32>) {
+    sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += f64::from(*term));
 }

@@ -8,6 +8,7 @@ use proto::ActionChoice;
 use sim::{EnvironmentBatch, Outcome, SimError};
 
 use crate::acting::Agents;
+use crate::chunk;
 use crate::step_event::StepEvent;
 
 /// One episode of the evaluation of a run's weights. Training, `eval`, `record`, `film`, `export` and the page start
@@ -44,12 +45,14 @@ impl fmt::Display for EvaluationEpisode {
 }
 
 /// Result of an episode.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Episode {
     /// Sum of extrinsic rewards.
     pub extrinsic_return: f64,
     /// Number of steps.
     pub steps: u32,
+    /// Sum of each term of the reward, `[K]` in the order of [`proto::EnvironmentSpec::reward_terms`].
+    pub reward_terms: Vec<f64>,
 }
 
 /// Plays an episode in environment 0 from a start drawn with `key`, with actions selected by `choice`, and calls
@@ -66,7 +69,8 @@ pub fn play_episode(
     world.reset(0, 0, world.description().episode_steps, key.0)?;
     let mut agents = Agents::new(world, policy);
     let mut outcomes = vec![Outcome::default(); world.count()];
-    let mut episode = Episode::default();
+    let reward_terms = vec![0.0; world.description().reward_terms.len()];
+    let mut episode = Episode { reward_terms, ..Episode::default() };
     loop {
         on_event(StepEvent::Before(episode.steps, world));
         agents.observe(world);
@@ -74,6 +78,7 @@ pub fn play_episode(
         agents.choose(policy, choice, episode.steps);
         world.step(agents.join(), &mut outcomes)?;
         episode.extrinsic_return += f64::from(outcomes[0].reward);
+        chunk::add(&mut episode.reward_terms, world.reward_terms(0));
         episode.steps += 1;
         on_event(StepEvent::After(agents.played(world, &outcomes, episode.steps)));
         if outcomes[0].is_end() {

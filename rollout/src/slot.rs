@@ -104,7 +104,7 @@ impl<'a> Slot<'a> {
         let context = DrawContext { seed, iteration: self.work.iteration, step };
         self.agents.draw(self.policy, &self.indices, context);
         self.world.step(self.agents.join(), &mut self.outcomes)?;
-        self.chunk.push_step(&self.agents, &self.outcomes);
+        self.chunk.push_step(&self.agents, &self.outcomes, self.world);
         let played = self.agents.played(self.world, &self.outcomes, step + 1);
         let log_probs = Some(self.agents.log_prob.as_slice());
         on_event(StepEvent::After(PlayedStep { log_probs, ..played }));

@@ -136,6 +136,12 @@ pub trait EnvironmentBatch: Send {
         agents.map(observe).collect()
     }
 
+    /// Terms of the reward of the last step, with their weights, costs negative, `[K]` in the order of
+    /// [`EnvironmentSpec::reward_terms`]. After a fault and after a reset, all are 0.
+    fn reward_terms(&self, _environment: usize) -> &[f32] {
+        &[]
+    }
+
     /// Poses of a simulated robot's links and joints; empty for games and external environments.
     fn pose(&self, _environment: usize) -> Pose {
         Pose::default()

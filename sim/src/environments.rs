@@ -50,6 +50,8 @@ struct Environment {
     seen: Vec<f32>,
     /// What the episode has drawn besides its start.
     drawn: DrawnEpisode,
+    /// Terms of the last step's reward, `[K]`.
+    terms: Vec<f32>,
     /// What the agents observe instead of `seen`, if the task disturbs their sensors.
     sensors: Option<Sensors>,
 }
@@ -121,6 +123,7 @@ impl RobotEnvironments {
             now: rest.clone(),
             seen: vec![0.0; description.state.len()],
             drawn: DrawnEpisode::default(),
+            terms: vec![0.0; description.reward_terms.len()],
             sensors: Sensors::of(&task.rules, &robot),
         };
         let mut environments = Self {
@@ -182,6 +185,7 @@ impl EnvironmentBatch for RobotEnvironments {
         state.draws = self.bounds.has_draws.then_some(EpisodeDraws { key, is_disturbed });
         let bytes = state.to_bytes(&self.bounds.kind);
         self.rebuild(environment, &bytes).expect("start states are within the bounds of a state");
+        self.environments[environment].terms.fill(0.0);
         Ok(())
     }
 
@@ -229,6 +233,10 @@ impl EnvironmentBatch for RobotEnvironments {
     fn state(&self, environment: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.state.len(), "state");
         out.copy_from_slice(&self.environments[environment].seen);
+    }
+
+    fn reward_terms(&self, environment: usize) -> &[f32] {
+        &self.environments[environment].terms
     }
 
     fn pose(&self, environment: usize) -> Pose {
@@ -297,6 +305,7 @@ impl RobotEnvironments {
         if !whole || bounded.is_err() {
             environment.world.rebuild(&environment.now.coordinates, &environment.now.velocities);
             environment.world.set_activations(&environment.now.activations);
+            environment.terms.fill(0.0);
             self.update_state(index);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
@@ -323,24 +332,19 @@ impl RobotEnvironments {
     }
 
     /// Result of a valid step. `now` is the motion after the step, `next` the motion before it.
-    fn outcome(&self, index: usize, mass_centre_before: f32) -> Outcome {
-        let environment = &self.environments[index];
-        let [before, after] =
-            [&self.next, &environment.now].map(|state| motion(&self.robot, state));
+    fn outcome(&mut self, index: usize, mass_centre_before: f32) -> Outcome {
+        let Environment { world, now, seen, drawn, terms, .. } = &mut self.environments[index];
+        let [before, after] = [&self.next, &*now].map(|state| motion(&self.robot, state));
         let (control, last_control) = (self.asked.as_slice(), self.next.actions.as_slice());
         let dt_secs = self.description.dt_secs as f32;
-        let EpisodePosition { step, limit, .. } = environment.now.position;
-        let terminated = self.rules.terminated(&after, &environment.seen);
+        let EpisodePosition { step, limit, .. } = now.position;
+        let terminated = self.rules.terminated(&after, seen);
+        let mass_centre = [mass_centre_before, self.rules.mass_centre(world)];
+        let command = &drawn.command;
+        let transition =
+            Transition { before, after, control, last_control, command, mass_centre, dt_secs };
         Outcome {
-            reward: self.rules.reward(&Transition {
-                before,
-                after,
-                control,
-                last_control,
-                command: &environment.drawn.command,
-                mass_centre: [mass_centre_before, self.rules.mass_centre(&environment.world)],
-                dt_secs,
-            }),
+            reward: self.rules.reward(&transition, terms),
             terminated,
             truncated: !terminated && step >= limit,
             fault: false,

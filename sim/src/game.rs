@@ -212,5 +212,6 @@ fn describe<G: Game>(bounds: &StateBounds) -> EnvironmentSpec {
         max_state_bytes: bounds.bytes() as u32,
         state: G::global(),
         feature_z: false,
+        reward_terms: Vec::new(),
     }
 }

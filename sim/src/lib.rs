@@ -32,7 +32,8 @@ pub use observation::standardise;
 pub use probe::probe;
 pub use robot::{Actuator, Robot, Torque, one_document};
 pub use scene::{
-    Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, WORLD, drivers, rotated,
+    Capsule, Hull, JointPose, LinkPose, LinkShape, OKABE_ITO, Pose, Shape, WORLD, drivers,
+    link_colour, rotated,
 };
 pub use state::{EpisodeDraws, State, StateBounds};
 pub use task::task_names;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use proto::EnvironmentSpec;
-use rapier3d::math::Pose as Transform;
+use rapier3d::math::{Pose as Transform, Rotation, Vector};
 
 /// Name of the frame of what is fixed, instead of a link.
 pub const WORLD: &str = "world";
@@ -27,6 +27,8 @@ pub struct Pose {
 pub struct LinkPose {
     /// Name of the link.
     pub name: String,
+    /// Index of the link that it hangs on; `None` for the first of a tree.
+    pub parent: Option<usize>,
     /// Metres.
     pub position: [f32; 3],
     /// Unit quaternion, x y z w.
@@ -104,6 +106,24 @@ pub struct Hull {
     pub triangles: Vec<[u32; 3]>,
 }
 
+/// Okabe and Ito's colours, red, green and blue: those of agents, and of series in figures.
+pub const OKABE_ITO: [[u8; 3]; 8] = [
+    [0x00, 0x72, 0xB2],
+    [0xD5, 0x5E, 0x00],
+    [0x00, 0x9E, 0x73],
+    [0xCC, 0x79, 0xA7],
+    [0xE6, 0x9F, 0x00],
+    [0x56, 0xB4, 0xE9],
+    [0x00, 0x00, 0x00],
+    [0xF0, 0xE4, 0x42],
+];
+
+/// Colour of a link whose joint this agent drives; grey without one.
+#[must_use]
+pub fn link_colour(agent: Option<usize>) -> [u8; 3] {
+    agent.map_or([152, 158, 164], |agent| OKABE_ITO[agent % OKABE_ITO.len()])
+}
+
 /// All points within the radius of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Capsule {
@@ -128,6 +148,17 @@ impl LinkShape {
 }
 
 impl LinkPose {
+    /// Position, metres, and unit quaternion, x y z w, in the frame of another link.
+    #[must_use]
+    pub fn seen_from(&self, other: &Self) -> ([f32; 3], [f32; 4]) {
+        parts(&(other.transform().inverse() * self.transform()))
+    }
+
+    fn transform(&self) -> Transform {
+        let [x, y, z, w] = self.quaternion;
+        Transform::from_parts(Vector::from(self.position), Rotation::from_xyzw(x, y, z, w))
+    }
+
     /// Transforms a point from the link's frame to the world, metres.
     #[must_use]
     pub fn in_world(&self, point_in_link: [f32; 3]) -> [f32; 3] {
@@ -249,6 +280,23 @@ pub(crate) fn parts(pose: &Transform) -> ([f32; 3], [f32; 4]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_link_a_metre_in_front_of_its_turned_parent_is_seen_in_front_and_unturned() {
+        let half = core::f32::consts::FRAC_1_SQRT_2;
+        let link = |parent, position| LinkPose {
+            name: "arm".to_owned(),
+            parent,
+            position,
+            // A quarter turn about z, which turns x to y.
+            quaternion: [0.0, 0.0, half, half],
+        };
+        let (parent, child) = (link(None, [1.0, 2.0, 3.0]), link(Some(0), [1.0, 3.0, 3.0]));
+        let (position, turn) = child.seen_from(&parent);
+        let found = position.iter().chain(&turn);
+        let expected = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        assert!(found.zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{position:?}, {turn:?}");
+    }
 
     #[test]
     fn a_quarter_turn_about_y_rotates_z_to_x() {

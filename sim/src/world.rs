@@ -39,6 +39,8 @@ pub struct World {
     enforcer: Enforcer,
     /// Physics steps in an environment step.
     substeps: u32,
+    /// Sums over the physics steps of the last step of the torques of the motors, N m, in the order of [`HingeDrives`].
+    efforts: Vec<f64>,
     /// Differences from the model; `None` for the model itself.
     conditions: Option<EpisodeConditions>,
 }
@@ -65,6 +67,7 @@ impl World {
             },
             physics,
             substeps: robot.frame_skip * parts,
+            efforts: vec![0.0; robot.layout.hinges.len()],
             conditions: None,
             robot: Arc::clone(&robot),
         };
@@ -113,7 +116,19 @@ impl World {
     /// Runs one environment step with one control per motor. Returns whether the state is still finite.
     pub fn step(&mut self, controls: &[f32]) -> bool {
         self.command(controls);
-        (0..self.substeps).all(|_| self.substep())
+        self.efforts.fill(0.0);
+        (0..self.substeps).all(|_| {
+            let is_finite = self.substep();
+            let efforts = self.efforts.iter_mut().zip(self.drives.efforts());
+            efforts.for_each(|(sum, effort)| *sum += f64::from(effort));
+            is_finite
+        })
+    }
+
+    /// Mean torques of the actuators in the last step, N m, or forces on slides, N, in the order of [`crate::Pose::joints`], then
+    /// about the axes of ball joints. 0 before the first step. As MuJoCo's `qfrc_actuator`, without springs and dampers.
+    pub fn efforts(&self) -> impl Iterator<Item = f32> {
+        self.efforts.iter().map(|sum| (sum / f64::from(self.substeps)) as f32)
     }
 
     /// Sets the motors' controls, each clamped to its range, for the next physics steps.
@@ -176,7 +191,7 @@ impl World {
         links
             .map(|(plan, joint)| {
                 let (position, quaternion) = parts(&self.frame(joint));
-                LinkPose { name: plan.name.clone(), position, quaternion }
+                LinkPose { name: plan.name.clone(), parent: plan.parent, position, quaternion }
             })
             .collect()
     }
@@ -203,6 +218,7 @@ impl World {
     fn start(&mut self, coordinates: &[f32], velocities: &[f32]) {
         self.robot.template.copy_into(&mut self.physics);
         self.drives.clear();
+        self.efforts.fill(0.0);
         self.apply_conditions();
         self.write(coordinates, velocities);
     }

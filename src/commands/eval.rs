@@ -3,7 +3,8 @@
 use anyhow::Context as _;
 use clap::Args;
 use learner::observe::event::Spread;
-use proto::ActionChoice;
+use learner::train::reward_terms::means_per_episode;
+use proto::{ActionChoice, EnvironmentSpec};
 use rollout::{Episode, StepEvent};
 use serde_json::json;
 use sim::{Disturbances, EnvironmentBatch};
@@ -54,7 +55,7 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         play(world, &trained, arguments)
     });
     let disturbed = disturbed.transpose()?;
-    let task = &hosted.environment.description().task;
+    let task = hosted.environment.description();
     if arguments.json {
         output::line(as_json(task, &trained, &plain, disturbed.as_deref()));
         return Ok(());
@@ -65,13 +66,14 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let seed = trained.config.run.seed;
     let first = trained.episode(0).id();
     let last = trained.episode(arguments.episodes - 1).id();
-    output::line(format!("{run}: {simulator}{task} after {steps} env steps"));
+    output::line(format!("{run}: {simulator}{} after {steps} env steps", task.task));
     output::line(format!("episodes {first} to {last}, seed {seed}\n"));
+    let terms = &task.reward_terms;
     match disturbed {
-        None => output::line(as_table(&plain)),
+        None => output::line(as_table(terms, &plain)),
         Some(disturbed) => {
-            output::line(format!("without disturbances\n{}\n", as_table(&plain)));
-            output::line(format!("with disturbances\n{}", as_table(&disturbed)));
+            output::line(format!("without disturbances\n{}\n", as_table(terms, &plain)));
+            output::line(format!("with disturbances\n{}", as_table(terms, &disturbed)));
         }
     }
     Ok(())
@@ -105,45 +107,59 @@ fn play(
 
 /// The results; with `--disturbed`, those without disturbances, and under `disturbed` those with them.
 fn as_json(
-    task: &str,
+    task: &EnvironmentSpec,
     trained: &Trained,
     plain: &[Episode],
     disturbed: Option<&[Episode]>,
 ) -> serde_json::Value {
-    let mut object = results(trained, plain);
-    object["task"] = json!(task);
+    let mut object = results(&task.reward_terms, trained, plain);
+    object["task"] = json!(task.task);
     object["seed"] = json!(trained.config.run.seed);
     object["iteration"] = json!(trained.iteration);
     object["env_steps"] = json!(trained.env_steps);
     if let Some(disturbed) = disturbed {
-        object["disturbed"] = results(trained, disturbed);
+        object["disturbed"] = results(&task.reward_terms, trained, disturbed);
     }
     object
 }
 
-/// Returns of episodes and their statistics.
-fn results(trained: &Trained, episodes: &[Episode]) -> serde_json::Value {
+/// Returns of episodes, their statistics and their terms.
+fn results(names: &[String], trained: &Trained, episodes: &[Episode]) -> serde_json::Value {
     let spread = Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
     let as_json = |(index, played): (u32, &Episode)| {
         let id = trained.episode(index).id();
         json!({ "episode_id": id, "return": played.extrinsic_return, "steps": played.steps })
     };
-    let episodes: Vec<serde_json::Value> = (0..).zip(episodes).map(as_json).collect();
-    json!({
+    let mut object = json!({
         "return_mean": spread.mean,
         "return_standard_deviation": spread.standard_deviation,
         "return_minimum": spread.minimum,
         "return_maximum": spread.maximum,
-        "episodes": episodes,
-    })
+        "episodes": (0..).zip(episodes).map(as_json).collect::<Vec<_>>(),
+    });
+    for (term, mean) in terms(names, episodes) {
+        object[term] = json!(mean);
+    }
+    object
 }
 
-fn as_table(episodes: &[Episode]) -> String {
+/// Mean over the episodes of each reward term's sum in an episode, as `return/TERM`.
+fn terms(names: &[String], episodes: &[Episode]) -> Vec<(String, f64)> {
+    let sums: Vec<&[f64]> = episodes.iter().map(|played| played.reward_terms.as_slice()).collect();
+    means_per_episode(names, &sums)
+}
+
+/// The returns, and the mean of each term that makes them up.
+fn as_table(names: &[String], episodes: &[Episode]) -> String {
     let mut text = "episode      return   steps\n".to_owned();
     for (index, Episode { extrinsic_return, steps, .. }) in episodes.iter().enumerate() {
         text += &format!("{index:>7} {extrinsic_return:>11.2} {steps:>7}\n");
     }
     let Spread { mean, standard_deviation, minimum, maximum } =
         Spread::of(episodes.iter().map(|episode| episode.extrinsic_return));
-    text + &format!("\nreturn {mean:.2} ± {standard_deviation:.2} ({minimum:.2} to {maximum:.2})")
+    text += &format!("\nreturn {mean:.2} ± {standard_deviation:.2} ({minimum:.2} to {maximum:.2})");
+    for (term, mean) in terms(names, episodes) {
+        text += &format!("\n{term} {mean:.2}");
+    }
+    text
 }

@@ -145,6 +145,7 @@ fn play(folder: &Path, name: EpisodeName) -> anyhow::Result<FilmedEpisode> {
         episode: name.index,
         extrinsic_return: episode.extrinsic_return,
         steps: episode.steps,
+        reward_terms: episode.reward_terms,
     };
     Ok(FilmedEpisode { version: PolicyVersion(name.iteration), result, film })
 }

@@ -168,6 +168,13 @@ impl Environments {
         self.shares.iter().flat_map(|share| &share.outcomes)
     }
 
+    /// Terms of the rewards of the last step, `[E, K]` in the order of [`EnvironmentSpec::reward_terms`].
+    pub fn reward_terms(&self) -> impl Iterator<Item = &f32> {
+        let worlds = self.shares.iter().map(|share| &share.world);
+        let each = worlds.flat_map(|world| (0..world.count()).map(move |index| (world, index)));
+        each.flat_map(|(world, index)| world.reward_terms(index))
+    }
+
     /// Observations of all agents in their order, `[E, O]`.
     pub fn observations(&self) -> impl Iterator<Item = &f32> {
         self.shares.iter().flat_map(|share| &share.observations)

@@ -3,23 +3,12 @@
 use kuva::plot::scatter::MarkerShape;
 use kuva::render::color::Color;
 use kuva::render::render::{PathData, Primitive, Scene, TextAnchor};
+use sim::OKABE_ITO;
 
 use crate::figures::learning_curve::Series;
 
 /// Red, green, blue.
 pub(crate) type Rgb = [u8; 3];
-
-/// Okabe and Ito's colours; the last is too pale for a thin line on white.
-pub(crate) const OKABE_ITO: [Rgb; 8] = [
-    [0x00, 0x72, 0xB2],
-    [0xD5, 0x5E, 0x00],
-    [0x00, 0x9E, 0x73],
-    [0xCC, 0x79, 0xA7],
-    [0xE6, 0x9F, 0x00],
-    [0x56, 0xB4, 0xE9],
-    [0x00, 0x00, 0x00],
-    [0xF0, 0xE4, 0x42],
-];
 
 /// `#0072b2`
 pub(crate) fn hex([red, green, blue]: Rgb) -> String {

@@ -2,10 +2,10 @@
 //! and the floor.
 
 use clap::ValueEnum;
-use sim::{LinkPose, Pose};
+use sim::{LinkPose, Pose, link_colour};
 use tiny_skia::{Color, FillRule, LineCap, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
 
-use crate::figures::style::{OKABE_ITO, Rgb};
+use crate::figures::style::Rgb;
 use crate::film::RobotShapes;
 
 /// All points of the picture's plane within the radius of the line between the ends: a capsule from any side, or a ball
@@ -188,7 +188,6 @@ const FLOOR: Rgb = [90, 98, 106];
 const LINES: Rgb = [204, 210, 216];
 const SHADOW: Rgb = [196, 201, 206];
 /// Colour of links that no agent drives.
-const UNDRIVEN: Rgb = [152, 158, 164];
 /// Width of the edge around a capsule, pixels.
 const EDGE: f32 = 1.5;
 /// Radius of a disc that holds a number, pixels.
@@ -218,14 +217,9 @@ pub(super) fn sign(pixmap: &mut Pixmap, x: f32, y: f32) {
 
 /// An agent's mark in the legend.
 pub(super) fn mark(pixmap: &mut Pixmap, x: f32, y: f32, agent: usize) {
-    let fill = colour(Some(agent));
+    let fill = link_colour(Some(agent));
     rounded(pixmap, [(x, y); 2], 8.0, darker(fill));
     rounded(pixmap, [(x, y); 2], 8.0 - EDGE, fill);
-}
-
-/// Colour of a link whose joint this agent drives.
-pub(super) fn colour(agent: Option<usize>) -> Rgb {
-    agent.map_or(UNDRIVEN, |agent| OKABE_ITO[agent % OKABE_ITO.len()])
 }
 
 /// The floor seen from its side, with a mark at each whole metre.
@@ -273,7 +267,7 @@ fn shadow(pixmap: &mut Pixmap, capsule: &ProjectedCapsule, camera: &Camera) {
 fn draw(pixmap: &mut Pixmap, capsule: &ProjectedCapsule, camera: &Camera) {
     let ends = capsule.ends.map(|end| camera.pixel(end));
     let radius = capsule.radius * camera.pixels_per_metre;
-    let fill = colour(capsule.agent);
+    let fill = link_colour(capsule.agent);
     rounded(pixmap, ends, radius, darker(fill));
     rounded(pixmap, ends, (radius - EDGE).max(0.0), fill);
 }

@@ -90,7 +90,7 @@ struct Moment {
     lowest: f32,
     /// Kinetic and potential energy, including springs, joules.
     energy: f64,
-    /// Work of the motors during the step, joules.
+    /// Work of the actuators on hinges and slides during the step, joules.
     work: f64,
 }
 
@@ -108,14 +108,14 @@ impl Moment {
         }
     }
 
-    /// After a step from `before`. A motor's torque is constant within a step, so its work is torque times turn.
+    /// After a step from `before`. The work of an actuator is its mean torque times the turn, which is exact for a motor, whose
+    /// torque is constant within a step.
     fn after(step: &PlayedStep<'_>, before: &Self) -> Self {
         let now = Self::of(step.world);
-        let world = robot(step.world);
-        let work = now.pose.joints.iter().zip(&before.pose.joints).map(|(to, from)| {
-            f64::from(world.torque(&to.name).unwrap_or(0.0) * (to.position - from.position))
-        });
-        let work = work.sum();
+        let turns = now.pose.joints.iter().zip(&before.pose.joints);
+        let turns = turns.map(|(to, from)| to.position - from.position);
+        let work = turns.zip(robot(step.world).efforts());
+        let work = work.map(|(turn, effort)| f64::from(effort * turn)).sum();
         Self { work, ..now }
     }
 
@@ -142,7 +142,7 @@ struct Measures {
     upside_down: f64,
     /// Deepest penetration of the floor, metres.
     deepest: f64,
-    /// Largest rise of energy in a step beyond the motors' work, after the start, joules.
+    /// Largest rise of energy in a step beyond the actuators' work, after the start, joules.
     created: f64,
 }
 
@@ -171,7 +171,7 @@ fn is_upside_down(pose: &Pose) -> bool {
     sim::rotated(pose.root().quaternion, [0.0, 0.0, 1.0])[2] < 0.0
 }
 
-/// Largest rise of energy in one step beyond the motors' work, joules.
+/// Largest rise of energy in one step beyond the actuators' work, joules.
 fn risen(moments: &[Moment]) -> f64 {
     let pairs = moments.windows(2);
     pairs.map(|pair| pair[1].energy - pair[0].energy - pair[1].work).fold(0.0, f64::max)
@@ -196,7 +196,8 @@ mod tests {
     use super::*;
 
     fn moment(x: f32, quaternion: [f32; 4], impulse: f32, lowest: f32) -> Moment {
-        let root = LinkPose { name: "root".to_owned(), position: [x, 0.0, 1.0], quaternion };
+        let (name, parent) = ("root".to_owned(), None);
+        let root = LinkPose { name, parent, position: [x, 0.0, 1.0], quaternion };
         let pose = Pose { links: vec![root], ..Pose::default() };
         Moment { pose, impulse, lowest, energy: f64::from(x), work: 0.75 }
     }

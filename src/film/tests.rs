@@ -1,6 +1,6 @@
 //! What is drawn where, of robots made up for it.
 
-use sim::{JointPose, LinkPose, LinkShape, Pose, Shape};
+use sim::{JointPose, LinkPose, LinkShape, Pose, Shape, link_colour};
 use tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::*;
@@ -27,6 +27,7 @@ fn two_legs() -> (RobotShapes, Pose) {
     ];
     let link = |name: &str, x: f32, z: f32| LinkPose {
         name: name.to_owned(),
+        parent: None,
         position: [x, 0.0, z],
         quaternion: UPRIGHT,
     };
@@ -58,11 +59,11 @@ fn a_link_is_drawn_where_it_is_in_the_colour_of_its_agent_and_nothing_far_from_i
     let empty = drawing::panel(&[], &SIDE);
     // The ends of the left leg's middle line, then a point within its round upper end.
     for point in [[6.5, 0.2], [6.5, 0.8], [6.5, 0.88]] {
-        assert_eq!(seen(&picture, &SIDE, point), drawing::colour(Some(0)), "{point:?}");
+        assert_eq!(seen(&picture, &SIDE, point), link_colour(Some(0)), "{point:?}");
     }
-    assert_eq!(seen(&picture, &SIDE, [7.0, 1.0]), drawing::colour(None));
-    assert_eq!(seen(&picture, &SIDE, [7.5, 0.5]), drawing::colour(Some(1)));
-    let colours = [drawing::colour(Some(0)), drawing::colour(Some(1)), drawing::colour(None)];
+    assert_eq!(seen(&picture, &SIDE, [7.0, 1.0]), link_colour(None));
+    assert_eq!(seen(&picture, &SIDE, [7.5, 0.5]), link_colour(Some(1)));
+    let colours = [link_colour(Some(0)), link_colour(Some(1)), link_colour(None)];
     assert!(colours[0] != colours[1] && colours[1] != colours[2] && colours[0] != colours[2]);
     for point in [[6.5, 0.95], [6.35, 0.5], [7.0, 0.5], [8.2, 1.4], [7.0, -0.1]] {
         assert_eq!(seen(&picture, &SIDE, point), seen(&empty, &SIDE, point), "{point:?}");
@@ -87,7 +88,7 @@ fn a_capsule_that_points_at_the_viewer_is_a_disc() {
     robot.shapes[1].quaternion = [half, 0.0, 0.0, half];
     let picture = drawing::panel(&drawing::capsules(&robot, &pose, ViewDirection::Side), &SIDE);
     let empty = drawing::panel(&[], &SIDE);
-    assert_eq!(seen(&picture, &SIDE, [6.5, 0.5]), drawing::colour(Some(0)));
+    assert_eq!(seen(&picture, &SIDE, [6.5, 0.5]), link_colour(Some(0)));
     assert_eq!(seen(&picture, &SIDE, [6.5, 0.8]), seen(&empty, &SIDE, [6.5, 0.8]));
 }
 
@@ -104,7 +105,7 @@ fn what_is_fixed_is_drawn_behind_the_robot_and_does_not_change_the_scale() {
         let picture = drawing::panel(&capsules, &camera);
         [6.5, 7.0].map(|x| seen(&picture, &camera, [x, 0.5]))
     });
-    assert_eq!(with, [drawing::colour(Some(0)), drawing::colour(None)]);
+    assert_eq!(with, [link_colour(Some(0)), link_colour(None)]);
     assert_eq!(without[0], with[0]);
     assert_ne!(without[1], with[1]);
 }
@@ -118,7 +119,7 @@ fn a_strip_is_as_large_as_it_says_and_shows_every_agent() {
         Pixmap::decode_png(&strip(&robot, &frames, ViewDirection::Side).unwrap()).unwrap();
     assert_eq!((picture.width(), picture.height()), size(5, 2));
     for agent in [Some(0), Some(1), None] {
-        let [red, green, blue] = drawing::colour(agent);
+        let [red, green, blue] = link_colour(agent);
         let wanted = PremultipliedColorU8::from_rgba(red, green, blue, 255).unwrap();
         assert!(picture.pixels().contains(&wanted), "{agent:?}");
     }
@@ -158,10 +159,10 @@ fn a_gif_repeats_the_same_frames_for_ever_at_their_times_with_the_robot_in_the_m
         };
         // The root is a ball around one metre above the floor, at the largest scale at which it fits.
         let scale = 220.0 / 1.2;
-        assert_eq!(seen(240, 236 - scale as usize), drawing::colour(None));
+        assert_eq!(seen(240, 236 - scale as usize), link_colour(None));
         let leg = (0.5 * scale) as usize;
-        assert_eq!(seen(240 - leg, 236 - leg), drawing::colour(Some(0)));
-        assert_eq!(seen(240 + leg, 236 - leg), drawing::colour(Some(1)));
+        assert_eq!(seen(240 - leg, 236 - leg), link_colour(Some(0)));
+        assert_eq!(seen(240 + leg, 236 - leg), link_colour(Some(1)));
     }
     assert_eq!(delays, [3, 2, 3, 2]);
 }
@@ -176,7 +177,7 @@ fn an_obliquely_seen_robot_has_a_shadow_below_it() {
     let on_floor = camera.view.plane([7.0, 0.0, 0.0]);
     assert_ne!(seen(&picture, &camera, on_floor), seen(&empty, &camera, on_floor));
     let root = camera.view.plane([7.0, 0.0, 1.0]);
-    assert_eq!(seen(&picture, &camera, root), drawing::colour(None));
+    assert_eq!(seen(&picture, &camera, root), link_colour(None));
 }
 
 #[test]

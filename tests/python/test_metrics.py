@@ -3,7 +3,8 @@
 import json
 import math
 
-from conftest import ITERATIONS, STEPS_PER_ITERATION
+import pytest
+from conftest import ITERATIONS, STEPS_PER_ITERATION, TINY, s2mia
 
 
 def lines(path):
@@ -38,6 +39,33 @@ def test_evaluations_stand_at_the_steps_they_were_asked_for(run):
     steps = sorted(line["env_steps"] for line in evaluations)
     assert steps == [0, 2 * STEPS_PER_ITERATION, 4 * STEPS_PER_ITERATION]
     assert all(math.isfinite(line["mean"]) for line in evaluations)
+
+
+def terms(run):
+    """Figures of the terms of the reward, by kind of line and iteration."""
+    of_terms = ("reward/", "return/")
+    return {
+        (line["kind"], line["iteration"]): {name: value for name, value in line.items() if name.startswith(of_terms)}
+        for line in lines(run / "metrics.jsonl")
+    }
+
+
+def test_terms_of_the_reward_are_equal_with_any_number_of_actors(run, tmp_path):
+    found = terms(run)
+    assert set(found["iteration", ITERATIONS]) == {"reward/forward_speed", "reward/control"}
+    assert all(of_line["reward/control"] < 0 for (kind, _), of_line in found.items() if kind == "iteration")
+    for actors in (1, 3):
+        folder = tmp_path / f"actors-{actors}"
+        s2mia("train", *TINY, f"run.dir={folder}", f"run.actors={actors}")
+        assert terms(folder) == found
+
+
+def test_terms_of_an_evaluation_sum_to_its_mean_return(run):
+    found = terms(run)
+    for line in of_kind(run, "evaluation"):
+        own = found["evaluation", line["iteration"]]
+        assert set(own) == {"return/forward_speed", "return/control"}
+        assert sum(own.values()) == pytest.approx(line["mean"], abs=1e-3)
 
 
 def test_provenance_ends_with_the_weights_of_the_checkpoint(run, inspected):

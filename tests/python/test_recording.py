@@ -78,6 +78,41 @@ def test_channels_name_the_numbers_of_their_messages(recording, tasks):
     assert len(names["/step"]["state"]) == len(first["/step"].state)
 
 
+def test_efforts_are_gear_times_action_and_terms_sum_to_the_reward(recording):
+    gears = {"bthigh": 120, "bshin": 90, "bfoot": 60, "fthigh": 120, "fshin": 60, "ffoot": 30}
+    with recording.open("rb") as file:
+        channels = {channel.topic: channel.metadata for channel in make_reader(file).get_summary().channels.values()}
+    joints = {topic: json.loads(metadata["action"]) for topic, metadata in channels.items() if "action" in metadata}
+    assert json.loads(channels["/step"]["reward_terms"]) == ["forward_speed", "control"]
+    expected, steps = {}, 0
+    for topic, message in read_all(recording):
+        if topic == "/joint_states":
+            efforts = {joint.name: joint.effort for joint in message.joints if joint.name in gears}
+        elif topic in joints:
+            torques = [max(-1.0, min(1.0, action)) for action in message.action]
+            expected |= {joint: gears[joint] * torque for joint, torque in zip(joints[topic], torques, strict=True)}
+        elif topic == "/step":
+            assert efforts == pytest.approx(expected, rel=1e-6)
+            assert sum(message.reward_terms) == pytest.approx(message.reward, rel=1e-5, abs=1e-6)
+            steps += 1
+    assert steps >= 1000
+
+
+def test_links_have_their_agents_colours_and_transforms_are_a_tree(messages):
+    _, scene = messages["/scene"][0]
+    colours = {}
+    for entity in scene.entities:
+        for shape in [*entity.spheres, *entity.cylinders]:
+            colours.setdefault(entity.frame_id, set()).add((shape.color.r, shape.color.g, shape.color.b))
+    driven = {link for link in colours if link not in ("world", "torso")}
+    assert all(len(own) == 1 for own in colours.values())
+    assert len(driven) == 6 and len(set.union(*(colours[link] for link in driven))) == 6
+    _, update = messages["/tf"][0]
+    parents = {frame.child_frame_id: frame.parent_frame_id for frame in update.transforms}
+    assert parents["torso"] == "world" and parents["bfoot"] == "bshin" and parents["bshin"] == "bthigh"
+    assert parents["bthigh"] == "torso"
+
+
 def test_every_step_has_a_time_of_its_own_and_finite_joints(messages, tasks):
     task = tasks["halfcheetah-6x1"]
     states = messages["/joint_states"]

@@ -14,7 +14,7 @@ fn of_all_films_those_of_the_sixteen_newest_policies_stay_one_for_each() {
     assert!(exchange.run_snapshot().films.is_empty());
     let film = Film { frame_secs: 0.05, radii: vec![0.1], drivers: vec![None], ends: vec![0.0; 6] };
     let show = |version, steps| {
-        let result = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps };
+        let result = EvaluationResult { steps, ..EvaluationResult::default() };
         let weights = WeightsName { version: PolicyVersion(version), digest: Digest([0; 32]) };
         let (incarnation, digest) = (Incarnation(1), result.digest(1));
         let header = PushHeader { lease: LeaseId(1), incarnation, weights, digest };

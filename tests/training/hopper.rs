@@ -66,6 +66,6 @@ pub(crate) fn evaluate(
     let key = DrawKey::of_evaluation(RunSeed(run.seed), work.iteration, work.episode);
     let start = (key, ActionChoice::Mean);
     let played = rollout::play_episode(&mut *world(1), policy, start, |_| {}).unwrap();
-    let Episode { extrinsic_return, steps } = played;
-    EvaluationResult { episode: work.episode, extrinsic_return, steps }
+    let Episode { extrinsic_return, steps, reward_terms } = played;
+    EvaluationResult { episode: work.episode, extrinsic_return, steps, reward_terms }
 }

@@ -55,12 +55,16 @@ def chunk_digest(chunk: Any, rollout: Any) -> bytes:
             blob(state)
         for tensor in chunk.end.recurrent:
             blob(tensor.data)
+    if chunk.reward_terms:
+        blob(struct.pack(f"<{len(chunk.reward_terms)}d", *chunk.reward_terms))
     return sha.digest()
 
 
 def evaluation_digest(result: Any, iteration: int) -> bytes:
     """SHA-256 of the result of an episode with the policies after `iteration`."""
     figures = struct.pack("<QIdI", iteration, result.episode, result.extrinsic_return, result.steps)
+    if terms := result.reward_terms:
+        figures += struct.pack(f"<Q{len(terms)}d", 8 * len(terms), *terms)
     return hashlib.sha256(b"s2mia.v1.EvaluationResult" + figures).digest()
 
 

@@ -46,8 +46,8 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
     """A PettingZoo environment.
 
     Observations are not scaled; `task` names their features. Continuous actions are in units of half a range: -1 and 1 are the
-    limits of an actuator. Every agent gets the reward of the team. `infos` have `fault` after a step that left the bounds of
-    the simulation, which truncates the episode.
+    limits of an actuator. Every agent gets the reward of the team. `infos` have `reward_terms`, the terms that sum to the
+    reward, and `fault` after a step that left the bounds of the simulation, which truncates the episode.
     """
 
     def __init__(self, simulator: Simulator, render_mode: str | None) -> None:
@@ -90,7 +90,7 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
         dict[str, Numbers], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
     ]:
         """Steps with an action of each agent. At the end of an episode, `agents` becomes empty."""
-        seen, reward, terminated, truncated, fault = self.advance(self._joint(actions))
+        seen, reward, terminated, truncated, info = self.advance(self._joint(actions))
         names = self.agents
         if terminated or truncated:
             self.agents = []
@@ -99,7 +99,7 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
             dict.fromkeys(names, reward),
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
-            {name: {"fault": True} if fault else {} for name in names},
+            {name: dict(info) for name in names},
         )
 
     def restore(self, state: bytes) -> None:

@@ -28,6 +28,8 @@ class TaskSpec:
     """Steps after which an episode is truncated."""
     state: list[str]
     """Names of the global state's features, m, rad, m/s and rad/s."""
+    reward_terms: list[str]
+    """Names of the terms whose sum is the reward; empty for games."""
     agents: list[AgentSpec]
 
 
@@ -48,8 +50,8 @@ class Simulator:
         seeded = {} if own is None else {"run__seed": own}
         self.num_envs = num_envs
         self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
-        name, dt_secs, episode_steps, state, agents = self.native.task()
-        self.task = TaskSpec(name, dt_secs, episode_steps, state, [AgentSpec(*agent) for agent in agents])
+        name, dt_secs, episode_steps, state, terms, agents = self.native.task()
+        self.task = TaskSpec(name, dt_secs, episode_steps, state, terms, [AgentSpec(*agent) for agent in agents])
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
@@ -123,11 +125,14 @@ class OneEnvironment:
         """Observations of all agents in their order, `[O]`."""
         return np.frombuffer(self.simulator.native.observations(), np.float32)
 
-    def advance(self, joint: Numbers) -> tuple[Numbers, float, bool, bool, bool]:
-        """Steps with the joint action `[A]`: observations `[O]`, reward, terminated, truncated, and whether by a fault."""
+    def advance(self, joint: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
+        """Steps with the joint action `[A]`: observations `[O]`, reward, terminated, truncated and info."""
         if not self.is_running:
             raise ValueError("no episode is running; call reset()")
-        seen, reward, terminated, truncated, fault = self.simulator.native.step(joint.tobytes())
+        seen, reward, terms, terminated, truncated, fault = self.simulator.native.step(joint.tobytes())
         self.is_running = not (terminated[0] or truncated[0])
         observations = np.frombuffer(seen, np.float32)
-        return observations, _REWARD.unpack(reward)[0], bool(terminated[0]), bool(truncated[0]), bool(fault[0])
+        info: dict[str, Any] = {"fault": True} if fault[0] else {}
+        if names := self.task.reward_terms:
+            info["reward_terms"] = dict(zip(names, np.frombuffer(terms, np.float32).tolist(), strict=True))
+        return observations, _REWARD.unpack(reward)[0], bool(terminated[0]), bool(truncated[0]), info

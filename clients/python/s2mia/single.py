@@ -60,9 +60,9 @@ class SingleSimulator(OneEnvironment, Env[Numbers, Any]):
         return self.state(), {}
 
     def step(self, action: Any) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
-        """Steps with the action `[A]`. `info` has `fault` after a step that left the bounds of the simulation."""
+        """Steps with the action `[A]`. `info` has `reward_terms`, and `fault` after a step that left the bounds of the simulation."""
         joint = numbers("the action", action)
         if joint.shape != self.action_space.shape:
             raise ValueError(f"the action has the shape {joint.shape}, not {self.action_space.shape}")
-        _, reward, terminated, truncated, fault = self.advance(joint)
-        return self.state(), reward, terminated, truncated, {"fault": True} if fault else {}
+        _, reward, terminated, truncated, info = self.advance(joint)
+        return self.state(), reward, terminated, truncated, info

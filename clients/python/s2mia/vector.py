@@ -72,7 +72,7 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
         if joint.shape != self.action_space.shape:
             raise ValueError(f"the actions have the shape {joint.shape}, not {self.action_space.shape}")
         joint = self._numbers.joined(joint.reshape(self.num_envs, -1))
-        seen, rewards, *flags = self.simulator.native.step(joint.tobytes())
+        seen, rewards, _, *flags = self.simulator.native.step(joint.tobytes())
         terminated, truncated, fault = (np.frombuffer(flag, np.bool_) for flag in flags)
         infos = {"fault": fault, "_fault": fault} if fault.any() else {}
         return self._observed(seen), np.frombuffer(rewards, np.float32), terminated, truncated, infos

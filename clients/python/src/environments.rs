@@ -14,8 +14,8 @@ use crate::arrays::{bytes, numbers, refused};
 /// which the actions -1 and 1 are mapped.
 type Agent = (String, Vec<String>, Vec<String>, usize, Option<u32>, Vec<[f32; 2]>);
 
-/// A task: name, seconds of a step, steps of an episode, features of the global state, and the agents.
-type Task = (String, f64, u32, Vec<String>, Vec<Agent>);
+/// A task: name, seconds of a step, steps of an episode, features of the global state, terms of the reward, and the agents.
+type Task = (String, f64, u32, Vec<String>, Vec<String>, Vec<Agent>);
 
 /// `E` environments of one task, stepped together. Arrays are bytes: little-endian f32, and truth values of one byte.
 #[pyclass(module = "s2mia._native", frozen)]
@@ -54,7 +54,9 @@ impl Environments {
                 (name, joints, features, action.size, action.choices, inner.control_ranges(index))
             });
             let state = task.state.iter().map(|feature| feature.name.clone()).collect();
-            Ok((task.task.clone(), task.dt_secs, task.episode_steps, state, agents.collect()))
+            let (name, terms, agents) =
+                (task.task.clone(), task.reward_terms.clone(), agents.collect());
+            Ok((name, task.dt_secs, task.episode_steps, state, terms, agents))
         })
     }
 
@@ -63,9 +65,9 @@ impl Environments {
         self.locked(py, |inner| inner.reset(seed, &limits))
     }
 
-    /// Steps all environments with the actions `[E, A]`. Returns observations `[E, O]`, rewards, terminations, truncations and
-    /// faults, `[E]`.
-    fn step<'py>(&self, py: Python<'py>, actions: &[u8]) -> PyResult<[Bound<'py, PyByteArray>; 5]> {
+    /// Steps all environments with the actions `[E, A]`. Returns observations `[E, O]`, rewards `[E]`, their terms `[E, K]`,
+    /// terminations, truncations and faults, `[E]`.
+    fn step<'py>(&self, py: Python<'py>, actions: &[u8]) -> PyResult<[Bound<'py, PyByteArray>; 6]> {
         let actions = numbers(actions);
         let columns = self.locked(py, |inner| {
             inner.step(&actions)?;
@@ -75,6 +77,7 @@ impl Environments {
             Ok([
                 bytes(inner.observations().copied()),
                 bytes(inner.outcomes().map(|outcome| outcome.reward)),
+                bytes(inner.reward_terms().copied()),
                 flags(|outcome| outcome.terminated),
                 flags(|outcome| outcome.truncated),
                 flags(|outcome| outcome.fault),

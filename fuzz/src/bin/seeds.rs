@@ -56,7 +56,8 @@ fn messages() -> Vec<Seed> {
     let run = sample::run();
     let push = |content, digest| PushHeader::of(&lease(), digest).to_wire(content).encode_to_vec();
     let chunks = [0, 1].map(|sequence| sample::chunk(sequence).to_wire(&run, &sample::origin()));
-    let result = EvaluationResult { episode: 0, extrinsic_return: 12.5, steps: 40 };
+    let (extrinsic_return, reward_terms) = (12.5, vec![15.0, -2.5]);
+    let result = EvaluationResult { episode: 0, extrinsic_return, steps: 40, reward_terms };
     let registration = Registration {
         client: "seed".to_owned(),
         build: run.build.clone(),

@@ -37,7 +37,7 @@ pub enum Event {
 }
 
 /// A finished evaluation, with the names that its figures have in `metrics.jsonl`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EvaluationReport {
     /// Finished iterations of the evaluated policies.
     pub iteration: u64,
@@ -50,6 +50,9 @@ pub struct EvaluationReport {
     pub episodes: usize,
     /// Whether actions were sampled instead of means or likeliest choices.
     pub sampled: bool,
+    /// Mean over the episodes of the sum of each reward term, by the metric's name.
+    #[serde(skip)]
+    pub metrics: Vec<(String, f64)>,
 }
 
 /// A checkpoint on disk.
@@ -114,7 +117,7 @@ pub struct IterationReport {
     pub messages_refused: u64,
     /// Slots and episodes leased again since the learner started.
     pub leases_reissued: u64,
-    /// Figures of the densities and the algorithm.
+    /// Figures of the densities, the algorithm and the reward's terms.
     #[serde(skip)]
     pub metrics: Vec<(String, f64)>,
 }

@@ -73,11 +73,7 @@ impl Metrics {
         let mut line = json!(report);
         line["kind"] = "iteration".into();
         line["env_steps_per_sec"] = json!(report.env_steps_per_sec());
-        for (name, value) in &report.metrics {
-            // JSON cannot represent non-finite numbers; they become null.
-            line[name] = json!(value);
-        }
-        self.append(&line)
+        self.append(line, &report.metrics)
     }
 
     /// Adds an evaluation.
@@ -87,13 +83,18 @@ impl Metrics {
     pub fn evaluation(&mut self, report: &EvaluationReport) -> Result<(), FileError> {
         let mut line = json!(report);
         line["kind"] = "evaluation".into();
-        self.append(&line)
+        self.append(line, &report.metrics)
     }
 
-    fn append(&mut self, line: &Value) -> Result<(), FileError> {
-        self.add_event(line);
-        self.curves.lock().unwrap_or_else(PoisonError::into_inner).add(line);
-        self.lines.append(line)
+    /// Appends a line with more figures.
+    fn append(&mut self, mut line: Value, figures: &[(String, f64)]) -> Result<(), FileError> {
+        for (name, value) in figures {
+            // JSON cannot represent non-finite numbers; they become null.
+            line[name] = json!(value);
+        }
+        self.add_event(&line);
+        self.curves.lock().unwrap_or_else(PoisonError::into_inner).add(&line);
+        self.lines.append(&line)
     }
 
     /// Adds a line to the event file. One that cannot be written is logged and dropped instead of ending the run,
@@ -160,8 +161,15 @@ mod tests {
         let spread = Spread { mean: 1.0, standard_deviation: 0.0, minimum: 1.0, maximum: 1.0 };
         for iteration in [0, 2, 4] {
             let env_steps = iteration * 40;
-            let evaluation =
-                EvaluationReport { iteration, env_steps, spread, episodes: 10, sampled: false };
+            let (episodes, sampled, figures) = (10, false, Vec::new());
+            let evaluation = EvaluationReport {
+                iteration,
+                env_steps,
+                spread,
+                episodes,
+                sampled,
+                metrics: figures,
+            };
             metrics.evaluation(&evaluation).unwrap();
             metrics.iteration(&report(iteration + 1)).unwrap();
         }

@@ -206,6 +206,7 @@ mod tests {
             spread,
             episodes: 2,
             sampled: false,
+            metrics: Vec::new(),
         })
     }
 

@@ -29,6 +29,7 @@ use crate::train::environments::Environments;
 use crate::train::evaluation::{Evaluated, Evaluations};
 use crate::train::fail_points;
 use crate::train::provenance::{Provenance, WeightsOrigin};
+use crate::train::reward_terms;
 use crate::train::trainer::collect::{Collected, ProgressMonitor};
 use crate::train::trainer::divergence::Divergence;
 
@@ -226,6 +227,8 @@ impl RunningTrainer {
         if !self.outside.exchange.run.task_settings.is_empty() {
             metrics.push(("environment_faults".to_owned(), trainer.environments.faults as f64));
         }
+        let names = &self.outside.exchange.run.environment.reward_terms;
+        metrics.extend(reward_terms::means_per_step(names, &collected.rollouts));
         metrics.push(("checkpoints_failed".to_owned(), trainer.failed_saves.into()));
         let report = IterationReport {
             iteration: trainer.iteration,

@@ -217,8 +217,8 @@ impl Cluster {
             }
             Message::Episode(lease) => {
                 let Work::Evaluation(work) = lease.work else { unreachable!("sent by act") };
-                let result =
-                    EvaluationResult { episode: work.episode, extrinsic_return: 1.0, steps: 5 };
+                let (episode, steps) = (work.episode, 5);
+                let result = EvaluationResult { episode, steps, ..EvaluationResult::default() };
                 let header = PushHeader::of(&lease, result.digest(work.iteration));
                 let accepted = self.table.take(connection, &header, ResultPart::Episode(result));
                 self.answer(connection, &lease, accepted.map(|_| (0, true)))

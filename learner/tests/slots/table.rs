@@ -178,7 +178,8 @@ pub(crate) fn play(
     extrinsic_return: f64,
 ) -> Result<Ack, Refusal> {
     let Work::Evaluation(work) = lease.work else { panic!("expected an episode, got {lease:?}") };
-    let result = EvaluationResult { episode: work.episode, extrinsic_return, steps: 5 };
+    let (episode, steps, reward_terms) = (work.episode, 5, Vec::new());
+    let result = EvaluationResult { episode, extrinsic_return, steps, reward_terms };
     let header = PushHeader::of(lease, result.digest(work.iteration));
     table.take(lease.connection, &header, ResultPart::Episode(result))
 }

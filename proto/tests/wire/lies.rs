@@ -113,6 +113,9 @@ fn lies_about_the_ends_of_episodes_and_slots_are_refused_by_name() {
         (1, MissingField, "end", |c| c.end = None),
         (1, BadValue, "end.environments[1]", |c| end(c).environments[1] = Bytes::new()),
         (1, BadValue, "end.environments[0]", |c| end(c).environments[0] = vec![0; 65].into()),
+        (0, BadShape, "reward_terms", |c| c.reward_terms.push(0.0)),
+        (0, NotFinite, "reward_terms", |c| c.reward_terms[1] = f64::NAN),
+        (1, BadValue, "reward_terms", |c| c.reward_terms[3] = 4e9),
     ]);
 }
 
@@ -125,15 +128,26 @@ fn content_that_does_not_have_its_digest_is_refused_before_anybody_looks_at_its_
 
 #[test]
 fn evaluations_that_no_episode_gives_are_refused_by_name() {
-    let honest = EvaluationResult { episode: 0, extrinsic_return: 1.0, steps: 10 };
-    let returned = |extrinsic_return| EvaluationResult { extrinsic_return, ..honest };
-    let lasted = |steps| EvaluationResult { steps, ..honest };
-    let own = |result: EvaluationResult| (result, result.digest(7));
+    let honest =
+        EvaluationResult { extrinsic_return: 1.0, steps: 10, ..EvaluationResult::default() };
+    let returned = |extrinsic_return| EvaluationResult { extrinsic_return, ..honest.clone() };
+    let lasted = |steps| EvaluationResult { steps, ..honest.clone() };
+    let summed = |reward_terms: &[f64]| EvaluationResult {
+        reward_terms: reward_terms.to_vec(),
+        ..honest.clone()
+    };
+    let own = |result: EvaluationResult| {
+        let digest = result.digest(7);
+        (result, digest)
+    };
     for ((result, digest), reason, field) in [
         (own(returned(f64::NAN)), NotFinite, "evaluation.extrinsic_return"),
         (own(returned(4e12)), BadValue, "evaluation.extrinsic_return"),
         (own(lasted(0)), BadValue, "evaluation.steps"),
         (own(lasted(1001)), BadValue, "evaluation.steps"),
+        (own(summed(&[1.0])), BadShape, "evaluation.reward_terms"),
+        (own(summed(&[1.0, f64::INFINITY])), NotFinite, "evaluation.reward_terms"),
+        (own(summed(&[-4e12, 1.0])), BadValue, "evaluation.reward_terms"),
         ((honest, Digest([0; 32])), DigestMismatch, "digest"),
     ] {
         let read = EvaluationResult::from_wire(&result.to_wire(), &sample::run(), 7, digest);

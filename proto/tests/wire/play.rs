@@ -112,7 +112,8 @@ fn described(spec: &EnvironmentSpec) -> Result<EnvironmentSpec, Refusal> {
 
 #[test]
 fn a_program_that_cannot_save_states_is_no_liar_and_equal_descriptions_have_one_digest() {
-    let offered = EnvironmentSpec { max_state_bytes: 0, ..environment() };
+    let reward_terms = Vec::new();
+    let offered = EnvironmentSpec { max_state_bytes: 0, reward_terms, ..environment() };
     assert_eq!(described(&offered).map(|spec| spec.digest()), Ok(offered.digest()));
     assert_ne!(offered.digest(), environment().digest());
     let unsaved = EnvironmentSpec { state_kind: String::new(), ..environment() };

@@ -79,11 +79,13 @@ fn another_build_is_refused_by_name_unless_the_run_allows_it_and_the_fingerprint
 }
 
 #[test]
-fn indices_near_an_agent_are_neither_compared_nor_checked() {
+fn indices_near_an_agent_and_terms_of_the_reward_are_neither_compared_nor_checked() {
     let mut other = registration();
+    other.environment.reward_terms = vec![" ".to_owned()];
     other.environment.agents[0].near = vec![9999];
     assert_eq!(other.check(&sample::run()), Ok(()));
     let environment = Some(other.environment.to_wire());
+    other.environment.reward_terms.clear();
     let answer = wire::DescribeEnvironmentResponse { environment };
     assert_eq!(EnvironmentSpec::from_service(answer), Ok(other.environment));
 }

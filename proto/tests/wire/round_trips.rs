@@ -59,7 +59,8 @@ fn a_chunk_survives_the_round_trip_and_keeps_its_digest() {
 
 #[test]
 fn an_evaluation_survives_the_round_trip() {
-    let result = EvaluationResult { episode: 2, extrinsic_return: -17.25, steps: 1000 };
+    let (extrinsic_return, reward_terms) = (-17.25, vec![3.0, -20.25]);
+    let result = EvaluationResult { episode: 2, extrinsic_return, steps: 1000, reward_terms };
     let message = sent(&result.to_wire());
     assert_eq!(
         EvaluationResult::from_wire(&message, &sample::run(), 7, result.digest(7)),

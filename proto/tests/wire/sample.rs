@@ -38,6 +38,7 @@ pub(crate) fn environment() -> EnvironmentSpec {
         state_version: 1,
         max_state_bytes: 64,
         feature_z: false,
+        reward_terms: ["forward_speed", "control"].map(str::to_owned).into(),
     }
 }
 
@@ -136,5 +137,6 @@ fn uncopied(sequence: u32) -> TrajectoryChunk {
             environments: vec![vec![1, 2, 3], vec![4]],
             recurrent: vec![numbers(6, 0.5), Vec::new()],
         }),
+        reward_terms: vec![1.5, -0.25, 2.0, -0.5],
     }
 }

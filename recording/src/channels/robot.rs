@@ -2,9 +2,9 @@
 
 use foxglove::messages::{FrameTransform, FrameTransforms, JointState, JointStates, SceneUpdate};
 use prost::Message as _;
-use sim::{LinkShape, Pose};
+use sim::{JointPose, LinkPose, Pose, WORLD};
 
-use super::scene::{self, quaternion, vector};
+use super::scene::{self, DrivenShape, quaternion, vector};
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile};
 
@@ -13,12 +13,12 @@ pub(crate) struct RobotChannels {
     transforms: Channel,
     joints: Channel,
     scene: Channel,
-    shapes: Vec<LinkShape>,
+    shapes: Vec<DrivenShape>,
 }
 
 impl RobotChannels {
     /// Creates the channels of a robot with these shapes.
-    pub(crate) fn create(file: &mut McapFile, shapes: &[LinkShape]) -> Result<Self, RecordError> {
+    pub(crate) fn create(file: &mut McapFile, shapes: &[DrivenShape]) -> Result<Self, RecordError> {
         Ok(Self {
             shapes: shapes.to_vec(),
             transforms: file.foxglove_channel::<FrameTransforms>("/tf")?,
@@ -33,26 +33,37 @@ impl RobotChannels {
         file.write(&mut self.scene, &scene.encode_to_vec())
     }
 
-    /// Writes the poses of links and joints.
-    pub(crate) fn pose(&mut self, file: &mut McapFile, pose: &Pose) -> Result<(), RecordError> {
+    /// Writes the poses of links, as a tree, and joints before a step, and the efforts of the joints during the step.
+    pub(crate) fn pose(
+        &mut self,
+        file: &mut McapFile,
+        pose: &Pose,
+        efforts: &[f32],
+    ) -> Result<(), RecordError> {
         let now = file.now();
-        let transform = |link: &sim::LinkPose| FrameTransform {
-            timestamp: Some(now),
-            parent_frame_id: "world".to_owned(),
-            child_frame_id: link.name.clone(),
-            translation: Some(vector(link.position)),
-            rotation: Some(quaternion(link.quaternion)),
+        let transform = |link: &LinkPose| {
+            let parent = link.parent.map(|parent| &pose.links[parent]);
+            let in_world = (link.position, link.quaternion);
+            let (position, turn) = parent.map_or(in_world, |parent| link.seen_from(parent));
+            FrameTransform {
+                timestamp: Some(now),
+                parent_frame_id: parent.map_or(WORLD, |parent| &parent.name).to_owned(),
+                child_frame_id: link.name.clone(),
+                translation: Some(vector(position)),
+                rotation: Some(quaternion(turn)),
+            }
         };
-        let joint = |joint: &sim::JointPose| JointState {
+        let joint = |(joint, effort): (&JointPose, &f32)| JointState {
             name: joint.name.clone(),
             position: Some(joint.position.into()),
             velocity: Some(joint.velocity.into()),
+            effort: Some((*effort).into()),
             ..JointState::default()
         };
         let transforms = FrameTransforms { transforms: pose.links.iter().map(transform).collect() };
         file.write(&mut self.transforms, &transforms.encode_to_vec())?;
-        let joints =
-            JointStates { timestamp: Some(now), joints: pose.joints.iter().map(joint).collect() };
+        let joints = pose.joints.iter().zip(efforts).map(joint).collect();
+        let joints = JointStates { timestamp: Some(now), joints };
         file.write(&mut self.joints, &joints.encode_to_vec())
     }
 }

@@ -4,13 +4,19 @@ use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, Point3, Pose, Quaternion, SceneEntity, SceneUpdate,
     SpherePrimitive, Timestamp, TriangleListPrimitive, Vector3,
 };
-use sim::{Hull, LinkShape, Shape, WORLD};
+use sim::{Hull, LinkShape, Shape, WORLD, link_colour};
 
-const LINK: Color = Color { r: 0.90, g: 0.56, b: 0.20, a: 1.0 };
 const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
 /// Length and width of the drawn part of the floor, metres.
 const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
 const FLOOR_THICKNESS: f64 = 0.02;
+
+/// A shape, and the agent that drives the joint of its link.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct DrivenShape {
+    pub(crate) shape: LinkShape,
+    pub(crate) driver: Option<usize>,
+}
 
 /// A vector or a position, metres.
 pub(super) fn vector([x, y, z]: [f32; 3]) -> Vector3 {
@@ -22,14 +28,15 @@ pub(super) fn quaternion([x, y, z, w]: [f32; 4]) -> Quaternion {
     Quaternion { x: x.into(), y: y.into(), z: z.into(), w: w.into() }
 }
 
-/// Builds a scene with one entity per shape, locked to its link's frame or the world's, and the floor.
-pub(super) fn update(shapes: &[LinkShape], now: Timestamp) -> SceneUpdate {
+/// Builds a scene with one entity per shape, locked to its link's frame or the world's, in its agent's colour, and the floor.
+pub(super) fn update(shapes: &[DrivenShape], now: Timestamp) -> SceneUpdate {
     let mut entities = vec![floor(now)];
     entities.extend(shapes.iter().enumerate().map(|(index, shape)| entity(index, shape, now)));
     SceneUpdate { deletions: Vec::new(), entities }
 }
 
-fn entity(index: usize, shape: &LinkShape, now: Timestamp) -> SceneEntity {
+fn entity(index: usize, driven: &DrivenShape, now: Timestamp) -> SceneEntity {
+    let (shape, color) = (&driven.shape, Some(colour(driven)));
     let mut entity = SceneEntity {
         timestamp: Some(now),
         frame_id: shape.link.clone(),
@@ -38,37 +45,44 @@ fn entity(index: usize, shape: &LinkShape, now: Timestamp) -> SceneEntity {
         ..SceneEntity::default()
     };
     match shape.shape {
-        Shape::Sphere { radius } => entity.spheres.push(ellipsoid(shape, 0.0, [radius; 3])),
-        Shape::Ellipsoid { half_sizes } => entity.spheres.push(ellipsoid(shape, 0.0, half_sizes)),
+        Shape::Sphere { radius } => {
+            entity.spheres.push(ellipsoid((shape, color), 0.0, [radius; 3]))
+        }
+        Shape::Ellipsoid { half_sizes } => {
+            entity.spheres.push(ellipsoid((shape, color), 0.0, half_sizes))
+        }
         Shape::Capsule { half_length, radius } => {
-            entity.cylinders.push(cylinder(shape, half_length, radius));
-            entity.spheres.push(ellipsoid(shape, half_length, [radius; 3]));
-            entity.spheres.push(ellipsoid(shape, -half_length, [radius; 3]));
+            entity.cylinders.push(cylinder((shape, color), half_length, radius));
+            entity.spheres.push(ellipsoid((shape, color), half_length, [radius; 3]));
+            entity.spheres.push(ellipsoid((shape, color), -half_length, [radius; 3]));
         }
         Shape::Cylinder { half_length, radius } => {
-            entity.cylinders.push(cylinder(shape, half_length, radius));
+            entity.cylinders.push(cylinder((shape, color), half_length, radius));
         }
-        Shape::Box { half_sizes } => entity.cubes.push(cube(shape, half_sizes)),
-        Shape::Hull(ref hull) => entity.triangles.push(triangles(shape, hull)),
+        Shape::Box { half_sizes } => entity.cubes.push(cube((shape, color), half_sizes)),
+        Shape::Hull(ref hull) => entity.triangles.push(triangles((shape, color), hull)),
     }
     entity
 }
 
-fn cube(shape: &LinkShape, half_sizes: [f32; 3]) -> CubePrimitive {
+/// A shape in a colour.
+type Coloured<'a> = (&'a LinkShape, Option<Color>);
+
+fn cube((shape, color): Coloured<'_>, half_sizes: [f32; 3]) -> CubePrimitive {
     CubePrimitive {
         pose: Some(pose(shape, 0.0)),
         size: Some(vector(half_sizes.map(|half| 2.0 * half))),
-        color: Some(colour(shape)),
+        color,
     }
 }
 
-fn triangles(shape: &LinkShape, hull: &Hull) -> TriangleListPrimitive {
+fn triangles((shape, color): Coloured<'_>, hull: &Hull) -> TriangleListPrimitive {
     let point = |[x, y, z]: [f32; 3]| Point3 { x: x.into(), y: y.into(), z: z.into() };
     TriangleListPrimitive {
         pose: Some(pose(shape, 0.0)),
         points: hull.points.iter().copied().map(point).collect(),
         indices: hull.triangles.concat(),
-        color: Some(colour(shape)),
+        color,
         ..TriangleListPrimitive::default()
     }
 }
@@ -91,29 +105,33 @@ fn floor(now: Timestamp) -> SceneEntity {
     }
 }
 
-fn cylinder(shape: &LinkShape, half_length: f32, radius: f32) -> CylinderPrimitive {
+fn cylinder((shape, color): Coloured<'_>, half_length: f32, radius: f32) -> CylinderPrimitive {
     let (width, length) = (2.0 * radius, 2.0 * half_length);
     CylinderPrimitive {
         pose: Some(pose(shape, 0.0)),
         size: Some(vector([width, width, length])),
         bottom_scale: 1.0,
         top_scale: 1.0,
-        color: Some(colour(shape)),
+        color,
     }
 }
 
 /// An ellipsoid on the shape's axis, `along` metres from its centre.
-fn ellipsoid(shape: &LinkShape, along: f32, half_sizes: [f32; 3]) -> SpherePrimitive {
+fn ellipsoid((shape, color): Coloured<'_>, along: f32, half_sizes: [f32; 3]) -> SpherePrimitive {
     SpherePrimitive {
         pose: Some(pose(shape, along)),
         size: Some(vector(half_sizes.map(|half| 2.0 * half))),
-        color: Some(colour(shape)),
+        color,
     }
 }
 
-/// What is fixed has the floor's colour.
-fn colour(shape: &LinkShape) -> Color {
-    if shape.link == WORLD { FLOOR } else { LINK }
+/// A link has its agent's colour. What is fixed has the floor's.
+fn colour(driven: &DrivenShape) -> Color {
+    if driven.shape.link == WORLD {
+        return FLOOR;
+    }
+    let [r, g, b] = link_colour(driven.driver).map(|part| f64::from(part) / 255.0);
+    Color { r, g, b, a: 1.0 }
 }
 
 fn pose(shape: &LinkShape, along: f32) -> Pose {
@@ -151,7 +169,7 @@ mod tests {
         let drawn = |shape| {
             let (position, quaternion) = ([0.0; 3], [0.0, 0.0, 0.0, 1.0]);
             let shape = LinkShape { link: "hand".to_owned(), shape, position, quaternion };
-            entity(0, &shape, Timestamp::MIN)
+            entity(0, &DrivenShape { shape, driver: None }, Timestamp::MIN)
         };
         let size = drawn(Shape::Box { half_sizes }).cubes[0].size.expect("a cube has a size");
         assert!((size.z - 0.6).abs() < 1e-6);
@@ -166,7 +184,9 @@ mod tests {
     #[test]
     fn a_scene_has_two_spheres_per_capsule_and_a_floor() {
         let robot = sim::Robot::of_task("halfcheetah-2x3").expect("a task");
-        let scene = update(&robot.shapes(), Timestamp::MIN);
+        let driven = |shape| DrivenShape { shape, driver: None };
+        let shapes: Vec<DrivenShape> = robot.shapes().into_iter().map(driven).collect();
+        let scene = update(&shapes, Timestamp::MIN);
         let (cylinders, spheres): (usize, usize) =
             scene.entities.iter().fold((0, 0), |sum, entity| {
                 (sum.0 + entity.cylinders.len(), sum.1 + entity.spheres.len())
@@ -180,7 +200,7 @@ mod tests {
         let shape = Shape::Box { half_sizes: [0.5; 3] };
         let (position, quaternion) = ([1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]);
         let wall = LinkShape { link: WORLD.to_owned(), shape, position, quaternion };
-        let scene = update(&[wall], Timestamp::MIN);
+        let scene = update(&[DrivenShape { shape: wall, driver: None }], Timestamp::MIN);
         let wall = &scene.entities[1];
         assert_eq!((wall.frame_id.as_str(), wall.cubes[0].color), ("world", Some(FLOOR)));
     }

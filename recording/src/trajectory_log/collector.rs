@@ -128,10 +128,13 @@ impl<'a> ShareCollector<'a> {
             let Outcome { reward, terminated, truncated, .. } = played.outcomes[environment];
             let state = std::mem::take(state);
             let step = share.next_step();
+            let reward_terms = played.world.reward_terms(environment).to_vec();
+            let robot = played.world.world(environment);
             share.steps.push(LoggedStep {
                 pose: std::mem::take(pose),
+                efforts: robot.map(|robot| robot.efforts().collect()).unwrap_or_default(),
                 agents: agents(played, environment),
-                step: Step { step, reward, terminated, truncated, state },
+                step: Step { step, reward, terminated, truncated, state, reward_terms },
             });
             if played.outcomes[environment].is_end() {
                 share.end = end(played.world, environment, share.steps.len());

@@ -5,9 +5,9 @@ use std::fs::File;
 use std::path::PathBuf;
 
 use proto::{EnvironmentSpec, Episodes, RunDescription};
-use sim::{EnvironmentBatch, LinkShape, Robot, TaskConfig};
+use sim::{EnvironmentBatch, LinkShape, TaskConfig};
 
-use crate::channels::ShareChannels;
+use crate::channels::{DrivenShape, ShareChannels};
 use crate::error::RecordError;
 use crate::mcap_file::{McapFile, NANOS_PER_SEC, verify};
 use crate::share::LoggedShare;
@@ -30,7 +30,7 @@ pub(crate) struct Origin {
     task_settings: String,
     description: EnvironmentSpec,
     /// Shapes of the robot and of what is fixed around it; empty without one.
-    shapes: Vec<LinkShape>,
+    shapes: Vec<DrivenShape>,
 }
 
 impl Origin {
@@ -89,9 +89,15 @@ impl Origin {
 }
 
 /// Shapes of the simulated robot and of what is fixed around it; empty for games and external environments.
-fn shapes(world: &dyn EnvironmentBatch) -> Vec<LinkShape> {
-    let all = |robot: &Robot| [robot.shapes(), robot.fixed_shapes()].concat();
-    world.robot().map(all).unwrap_or_default()
+fn shapes(world: &dyn EnvironmentBatch) -> Vec<DrivenShape> {
+    let Some(robot) = world.robot() else { return Vec::new() };
+    let pose = world.pose(0);
+    let drivers = sim::drivers(world.description(), &pose);
+    let driven = |shape: LinkShape| {
+        let link = pose.links.iter().position(|link| link.name == shape.link);
+        DrivenShape { driver: link.and_then(|link| drivers[link]), shape }
+    };
+    robot.shapes().into_iter().chain(robot.fixed_shapes()).map(driven).collect()
 }
 
 /// A log file being written.

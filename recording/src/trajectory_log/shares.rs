@@ -197,7 +197,8 @@ impl Assembler {
         let all = agents.len() == self.agents;
         match &mut self.open {
             Some(share) if all && step.step == share.next_step() => {
-                share.steps.push(LoggedStep { pose: Pose::default(), agents, step });
+                let (pose, efforts) = (Pose::default(), Vec::new());
+                share.steps.push(LoggedStep { pose, efforts, agents, step });
             }
             _ => {
                 self.torn_steps += 1 + self.open_steps();

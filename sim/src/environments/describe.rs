@@ -45,6 +45,7 @@ pub(super) fn describe(
         state_version: STATE_VERSION,
         max_state_bytes: bounds.bytes() as u32,
         feature_z: false,
+        reward_terms: task.rules.term_names.clone(),
     };
     (description, observation)
 }

@@ -60,13 +60,6 @@ fn largest([a, b]: [f32; 2]) -> f32 {
 }
 
 impl MotorPlan {
-    /// Torque for a control, which is clamped to its range, without the joint's limit, N m; `None` if it also depends on
-    /// the robot's motion or on earlier controls.
-    pub(crate) fn torque(&self, control: f32) -> Option<f32> {
-        let control = control.clamp(self.range[0], self.range[1]);
-        self.torque_of(control).filter(|_| self.activation.is_none())
-    }
-
     /// Torque for a control or activation, without the joint's limit, N m; `None` if it also depends on the robot's motion.
     fn torque_of(&self, input: f32) -> Option<f32> {
         let Some(servo) = self.servo else { return Some(self.gear * input) };

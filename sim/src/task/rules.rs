@@ -35,6 +35,8 @@ pub(crate) struct Rules {
     pub(crate) start: Start,
     reward: WeightedSum,
     cost: WeightedSum,
+    /// Names of the reward's terms: of the rewards, then of the costs, `[K]`.
+    pub(crate) term_names: Vec<String>,
     healthy: Vec<(Watched, HealthyRow)>,
     /// Coordinates in the global state.
     shown: Vec<usize>,
@@ -72,6 +74,7 @@ impl Rules {
             start: Start::new(&file.start, names, robot)?,
             reward: WeightedSum::new("reward", &file.reward, robot, &command)?,
             cost: WeightedSum::new("cost", &file.cost, robot, &command)?,
+            term_names: term_names(file),
             healthy: healthy.collect::<Result<_, _>>()?,
             shown,
             relations,
@@ -102,9 +105,12 @@ impl Rules {
         (coordinates, velocities)
     }
 
-    /// Reward of a step: the sum of the rewards minus the sum of the costs.
-    pub(crate) fn reward(&self, step: &Transition<'_>) -> f32 {
-        self.reward.value(step) - self.cost.value(step)
+    /// Reward of a step: the sum of the rewards minus the sum of the costs. Writes its terms, costs as negative rewards, `[K]`.
+    pub(crate) fn reward(&self, step: &Transition<'_>, terms: &mut [f32]) -> f32 {
+        let (rewards, costs) = terms.split_at_mut(self.reward.len());
+        let reward = self.reward.value(step, rewards) - self.cost.value(step, costs);
+        costs.iter_mut().for_each(|cost| *cost = 0.0 - *cost);
+        reward
     }
 
     /// Whether the episode terminates for a reason other than its length: a number has left its healthy range. `state` is
@@ -208,6 +214,19 @@ fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> V
         .chain(moving)
         .chain(velocities.into_iter().map(name));
     names.map(|name| FeatureSpec { name, role: FeatureRole::Signal }).collect()
+}
+
+/// Names of the rewards, then of the costs. The second term of a kind is `KIND_2`.
+fn term_names(file: &TaskFile) -> Vec<String> {
+    let rows: Vec<&TermRow> = file.reward.iter().chain(&file.cost).collect();
+    let name = |(index, row): (usize, &&TermRow)| {
+        let word = row.term.word();
+        match rows[..index].iter().filter(|before| before.term == row.term).count() {
+            0 => word.to_owned(),
+            before => format!("{word}_{}", before + 1),
+        }
+    };
+    rows.iter().enumerate().map(name).collect()
 }
 
 /// What reads the root of the robot, since it names no body or coordinate.

@@ -169,10 +169,17 @@ impl WeightedSum {
         rows.iter().map(resolve).collect::<Result<_, _>>().map(Self)
     }
 
-    /// `sum weight term` in the order of the list; 0 for an empty list.
-    pub(super) fn value(&self, step: &Transition<'_>) -> f32 {
-        let terms = self.0.iter().map(|(weight, term)| weight * term.value(step));
-        terms.reduce(|sum, term| sum + term).unwrap_or(0.0)
+    /// Number of terms.
+    pub(super) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// `sum weight term` in the order of the list; 0 for an empty list. Writes each `weight term` to `terms`, `[len]`.
+    pub(super) fn value(&self, step: &Transition<'_>, terms: &mut [f32]) -> f32 {
+        for (weighted, (weight, term)) in terms.iter_mut().zip(&self.0) {
+            *weighted = weight * term.value(step);
+        }
+        terms.iter().copied().reduce(|sum, term| sum + term).unwrap_or(0.0)
     }
 
     /// Whether a term reads the actions of the step before.

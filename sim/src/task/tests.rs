@@ -7,6 +7,7 @@ mod commands;
 mod disturbances;
 mod hostile;
 mod physics;
+mod reward_terms;
 mod starts;
 
 use super::*;
@@ -136,8 +137,8 @@ fn ranged([hip, knee]: [&str; 2], agents: &str) -> Box<dyn EnvironmentBatch> {
 fn driven(world: &mut dyn EnvironmentBatch, action: [f32; 2]) -> (f32, [f32; 2]) {
     let mut outcome = [Outcome::default()];
     world.step(&action, &mut outcome).unwrap();
-    let torques = ["hip", "knee"].map(|joint| world.world(0).unwrap().torque(joint).unwrap());
-    (outcome[0].reward, torques)
+    let torques: Vec<f32> = world.world(0).unwrap().efforts().collect();
+    (outcome[0].reward, [torques[0], torques[1]])
 }
 
 #[test]

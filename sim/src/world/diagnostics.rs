@@ -60,19 +60,6 @@ impl World {
         heights.reduce(f32::min)
     }
 
-    /// Torque of the motors of the hinge or slide `joint` for their last controls, N m or N; `None` without a motor, or if the
-    /// torque of one also depends on the robot's motion.
-    pub fn torque(&self, joint: &str) -> Option<f32> {
-        let joint = self.robot.hinges().position(|(name, _)| name == joint)?;
-        let motors = self.robot.blueprint.motors.iter().enumerate();
-        let torques = motors.filter_map(|(index, motor)| {
-            let mut moved = motor.moved.0.iter();
-            let (_, factor) = moved.find(|(hinge, _)| *hinge == joint)?;
-            Some(motor.torque(self.drives.control(index)).map(|torque| factor * torque))
-        });
-        torques.reduce(|sum, torque| Some(sum? + torque?)).flatten()
-    }
-
     /// Sum of the normal impulses in the last physics step, N s.
     pub fn contact_impulse(&self) -> f32 {
         if let Enforcer::Constraints(constraints) = &self.enforcer {

@@ -47,8 +47,10 @@ struct Motor {
 #[derive(Clone, Copy, Debug, Default)]
 struct Drive {
     /// Torque of the motors, N m.
+    effort: f32,
+    /// Torque of motors and tendons, N m.
     torque: f32,
-    /// Torque of the motors in the last step, N m.
+    /// The same in the last step, N m.
     last_torque: f32,
     /// Part of the motors' torque that the engine adds as damping, N m s / rad.
     damping: f32,
@@ -145,11 +147,6 @@ impl HingeDrives {
         motor.control = control.clamp(motor.plan.range[0], motor.plan.range[1]);
     }
 
-    /// The last control of a motor, clamped; 0 without one.
-    pub(crate) fn control(&self, motor: usize) -> f32 {
-        self.motors[motor].control
-    }
-
     /// Moves the activations to the end of the step, with the mean rate of its stages, or `part` of a step from its start. The
     /// stage that was applied last has this weight in the mean.
     pub(crate) fn advance(&mut self, weight: f32, part: Option<f32>) {
@@ -209,6 +206,11 @@ impl HingeDrives {
         self.drives.iter().map(|drive| drive.applied)
     }
 
+    /// Torques of the motors in the last physics step, in the model's direction, N m.
+    pub(super) fn efforts(&self) -> impl Iterator<Item = f32> {
+        self.drives.iter().map(|drive| drive.effort)
+    }
+
     /// Stores the accelerations of the last physics step.
     pub(crate) fn note(&mut self, robot: &Multibody, hinges: &[HingeMap]) {
         let speeds = robot.generalized_velocity();
@@ -253,6 +255,7 @@ impl HingeDrives {
                 (drive.torque, drive.damping) = (drive.torque.clamp(low, high), 0.0);
             }
             drive.damping = drive.damping.max(0.0);
+            drive.effort = drive.torque;
         }
         for tendon in tendons {
             let length = tendon.moved.sum(|hinge| drives[hinge].angle);

@@ -18,6 +18,9 @@ const INCIDENTAL: [&str; 10] = [
     "checkpoints_failed",
 ];
 
+/// Fields that earlier programs did not write: `sampled`, and the terms of rewards and returns.
+const NEW: [&str; 3] = ["sampled", "reward/", "return/"];
+
 /// Compares the lines of an iteration in a file, but for what is incidental.
 pub(super) fn same(
     file: &str,
@@ -29,8 +32,7 @@ pub(super) fn same(
     let fields = lines.iter().filter_map(Value::as_object).flat_map(|line| line.keys());
     let mut relevant = fields.filter(|field| !INCIDENTAL.contains(&field.as_str()));
     let is_same = |field: &str| {
-        // Earlier programs did not record it.
-        let is_unknown = field == "sampled" && old[field].is_null();
+        let is_unknown = old[field].is_null() && NEW.iter().any(|new| field.starts_with(new));
         is_unknown || old[field] == new[field]
     };
     match relevant.find(|field| !is_same(field)) {
@@ -65,6 +67,8 @@ mod tests {
         assert_eq!(compared("loss", json!(0.25)), Err(difference.to_owned()));
         let difference = "iteration 3 has more 1, metrics.jsonl has null";
         assert_eq!(compared("more", json!(1)), Err(difference.to_owned()));
-        assert_eq!(compared("sampled", json!(false)), Ok(()), "not recorded");
+        for (field, value) in [("sampled", json!(false)), ("reward/control", json!(-0.5))] {
+            assert_eq!(compared(field, value), Ok(()), "{field} is not recorded");
+        }
     }
 }

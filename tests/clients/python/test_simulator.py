@@ -68,7 +68,9 @@ def test_a_fall_terminates_and_the_limit_truncates():
             _, rewards, terminated, truncated, infos = env.step(dict.fromkeys(env.agents, np.full(3, 0.7)))
             steps += 1
         ends[limit] = terminated, truncated
-        assert infos == {"agent_0": {}, "agent_1": {}} and rewards["agent_0"] == rewards["agent_1"]
+        assert infos["agent_0"] == infos["agent_1"] and rewards["agent_0"] == rewards["agent_1"]
+        assert sum(infos["agent_0"]["reward_terms"].values()) == pytest.approx(rewards["agent_0"], abs=1e-5)
+        assert list(infos["agent_0"]["reward_terms"]) == env.task.reward_terms == ["forward_speed", "alive", "control"]
         assert (steps == 5) == (limit == 5)
         with pytest.raises(ValueError, match=r"^no episode is running; call reset\(\)$"):
             env.step(rest(env))
@@ -143,9 +145,10 @@ def test_a_fault_ends_the_episode_with_a_word_in_the_infos():
     envs.simulator.native.restore(1, spoilt)
     _, rewards, terminated, truncated, infos = team.step(rest(team))
     names = team.possible_agents
-    assert infos == {name: {"fault": True} for name in names} and team.agents == []
+    info = {"fault": True, "reward_terms": dict.fromkeys(team.task.reward_terms, 0.0)}
+    assert infos == dict.fromkeys(names, info) and team.agents == []
     assert (rewards, terminated, truncated) == tuple(dict.fromkeys(names, value) for value in (0, False, True))
-    assert one.step(np.zeros(8))[1:] == (0, False, True, {"fault": True})
+    assert one.step(np.zeros(8))[1:] == (0, False, True, info)
     _, rewards, terminated, truncated, infos = envs.step(np.zeros((2, 4, 2)))
     assert truncated.tolist() == infos["fault"].tolist() == infos["_fault"].tolist() == [False, True]
     assert rewards[1] == 0 != rewards[0] and not terminated.any()

@@ -82,6 +82,7 @@ pub(super) fn arbitrary_chunk(run: &RunDescription) -> TrajectoryChunk {
         truncated: vec![false; rows],
         finals: Vec::new(),
         end: None,
+        reward_terms: Vec::new(),
     }
 }
 

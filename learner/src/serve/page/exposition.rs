@@ -64,6 +64,18 @@ impl Exposition {
                 self.gauge(name, help, value);
             }
         }
+        let curves = view.curves();
+        for (name, help, prefix) in [
+            ("reward_term", "Mean of each reward term in a step of the last iteration", "reward/"),
+            (
+                "evaluation_return_term",
+                "Mean of each reward term's sum in an episode of the last evaluation",
+                "evaluation/return/",
+            ),
+        ] {
+            let term = |(name, _)| Some((str::strip_prefix(name, prefix)?, curves.newest(name)?));
+            self.gauges(name, help, "term", curves.iter().filter_map(term));
+        }
     }
 
     /// Slots, actors and leases.

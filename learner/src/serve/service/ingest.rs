@@ -134,7 +134,7 @@ fn read(
     // Not under the exchange's lock: this takes milliseconds.
     let part = check.read(&content, header.digest, &exchange.run, &exchange.states)?;
     let filmed = match (&part, film) {
-        (ResultPart::Episode(result), Some(film)) => Some((*result, film)),
+        (ResultPart::Episode(result), Some(film)) => Some((result.clone(), film)),
         _ => None,
     };
     let ack = exchange.take(sender, &header, &check, part)?;

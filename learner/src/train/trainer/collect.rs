@@ -9,6 +9,7 @@ use crate::lease::exchange::Wake;
 use crate::lease::slots::{EvaluationOutcome, SlotRollout};
 use crate::observe::event::{EvaluationReport, Event, Spread, Stage};
 use crate::observe::snapshot::RunSnapshot;
+use crate::train::reward_terms;
 use crate::train::trainer::RunningTrainer;
 
 /// Interval at which the trainer checks whether to stop.
@@ -71,6 +72,9 @@ impl RunningTrainer {
 
     fn take_evaluation(&mut self, outcome: &EvaluationOutcome) -> Result<(), LearnerError> {
         let iteration = outcome.iteration;
+        let names = &self.outside.exchange.run.environment.reward_terms;
+        let terms: Vec<&[f64]> =
+            outcome.episodes.iter().map(|episode| episode.reward_terms.as_slice()).collect();
         let returns = outcome.episodes.iter().map(|episode| episode.extrinsic_return);
         let report = EvaluationReport {
             iteration,
@@ -78,6 +82,7 @@ impl RunningTrainer {
             spread: Spread::of(returns),
             episodes: outcome.episodes.len(),
             sampled: self.trainer.launch.config.evaluation.sampled,
+            metrics: reward_terms::means_per_episode(names, &terms),
         };
         self.trainer.metrics.evaluation(&report)?;
         self.trainer.evaluations.end(iteration, report.spread.mean);

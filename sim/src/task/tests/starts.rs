@@ -194,7 +194,7 @@ fn a_joint_stands_for_all_its_actuators_and_an_actuator_for_one_of_them() {
     let mut outcome = [Outcome::default()];
     world.step(&[0.0, 0.5, -0.25], &mut outcome).unwrap();
     // Both act on the joint: 80 x 0.5 - 8 x 0.25.
-    assert_eq!(world.world(0).unwrap().torque("knee"), Some(38.0));
+    assert_eq!(world.world(0).unwrap().efforts().collect::<Vec<_>>(), [0.0, 38.0]);
     let apart = built("[[\"hip\", \"knee.motor\"], [\"knee\"]]").err().unwrap();
     assert!(apart.contains("`knee` stands for an actuator that has an agent already"), "{apart}");
 }

@@ -79,10 +79,14 @@ fn the_energy_is_mujocos_with_springs_of_balls_tendons_and_springdampers() {
 }
 
 #[test]
-fn a_motors_torque_is_that_of_a_hinge_or_slide_not_of_a_part_of_a_ball() {
+fn efforts_are_gear_times_control_without_springs_and_0_after_a_rebuild() {
     let mut world = world_of(SPRINGS);
-    world.command(&[0.5, 0.5]);
-    assert_eq!(["slide", "tip", "neck"].map(|joint| world.torque(joint)), [Some(1.5), None, None]);
+    assert!(world.step(&[0.5, 0.5]));
+    // Tip and slide, then the rotations of the neck. The tendon has a spring, of which nothing counts.
+    assert_eq!(world.efforts().collect::<Vec<_>>(), [0.0, 1.5, 0.0, 1.0, 0.0]);
+    let rest = world.robot().rest().to_vec();
+    world.rebuild(&rest, &[0.0; 5]);
+    assert_eq!(world.efforts().collect::<Vec<_>>(), [0.0; 5]);
 }
 
 #[test]

@@ -4,7 +4,7 @@ const WIDTH = 330, HEIGHT = 178, LEFT = 46, RIGHT = 10, TOP = 8, BOTTOM = 32;
 
 /// Groups of metrics in their order; the first that takes a metric keeps it.
 const GROUPS = [
-  ["Return", /^(evaluation return|training return)$/],
+  ["Return", /^(evaluation return$|training return$|reward)/],
   ["Surprise", /^surprise/],
   ["Influence", /^(influence|mi_|posterior|policy_nll)/],
   ["Time and health", /(_secs$|_per_sec$|^seconds|actors|refused|reissued|faults|failed|skipped)/],
@@ -18,6 +18,9 @@ function placeOf(name, isOneRun) {
   if (name.startsWith("evaluation/")) return null;
   if (name === "episode_return") return {title: "training return", label: "mean of the last episodes", metric: name};
   if (agent) return {title: ofAgent, label: `${agent}:`, place: Number(agent), metric: ofAgent};
+  if (name.startsWith("reward/")) {
+    return {title: isOneRun ? "reward terms in a step" : name, label: name.slice(7), metric: "reward/TERM"};
+  }
   if (isOneRun && name.endsWith("_secs")) return {title: "seconds of an iteration", label: name.slice(0, -5), metric: "iteration_secs"};
   return {title: name, label: "", metric: name};
 }
