@@ -146,11 +146,12 @@ impl Operation for &Product<'_> {
         let groups = self.columns.div_ceil(LANES);
         let whole = if self.padded { groups } else { self.columns / LANES };
         let tallest = height + usize::from(taller > 0);
+        let widest = if 4 * tallest <= TILE_ROWS { 4 } else { 2 };
         let mut group = 0;
         while group < groups {
             // Several groups hide the latency of the multiply-adds and read each value of the left side once.
             let fits = |count: &usize| count * tallest <= S::TILE_SUMS && group + count <= whole;
-            let count = [4, 2].into_iter().find(fits).unwrap_or(1);
+            let count = [widest, 2].into_iter().find(fits).unwrap_or(1);
             let mut row = 0;
             for tile in 0..tiles {
                 let rows = height + usize::from(tile < taller);
@@ -187,7 +188,7 @@ unsafe fn tile_of<S: Simd>(
     by_shape!(
         1 x 1, 2 x 1, 3 x 1, 4 x 1, 5 x 1, 6 x 1, 7 x 1, 8 x 1, 9 x 1, 10 x 1, 11 x 1, 12 x 1,
         1 x 2, 2 x 2, 3 x 2, 4 x 2, 5 x 2, 6 x 2, 7 x 2, 8 x 2, 9 x 2, 10 x 2, 11 x 2, 12 x 2,
-        1 x 4, 2 x 4, 3 x 4, 4 x 4, 5 x 4, 6 x 4,
+        1 x 4, 2 x 4, 3 x 4,
     );
 }
 
@@ -237,7 +238,8 @@ unsafe fn tile<S: Simd, const M: usize, const N: usize>(
             a = a.wrapping_add(left.inner);
             b = b.wrapping_add(right.row * LANES);
         }
-        for (m, sums) in sums.into_iter().enumerate() {
+        // Rows are copied one by one: a move of all of them would pass through memory.
+        for (m, &sums) in sums.iter().enumerate() {
             for (n, mut sum) in sums.into_iter().enumerate() {
                 if product.relu {
                     sum = simd.at_least(simd.splat(0.0), sum);
