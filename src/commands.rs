@@ -116,6 +116,7 @@ Examples:
   s2mia train                                    halfcheetah-2x3, happo-s2mia, 1,000,000 env steps
   s2mia train halfcheetah-6x1 algorithm=happo run.seed=7
   s2mia train my-robot.toml                      a robot of your own (docs/ADDING_A_TASK.md)
+  s2mia train ant-pushed-4x2 policy.start=ant-4x2    begins with a trained team, or with the policies of a run
   s2mia train --resume runs/NAME run.env_steps=2000000
 
 `s2mia config` prints all settings.";

@@ -103,11 +103,11 @@ impl RunConfig {
     /// The configuration with the settings that `request` names, as [`Self::build`]. The policies from which a new run starts
     /// are read.
     pub(crate) fn of(request: &Request) -> Result<Self, ConfigError> {
-        let mut resolved = layers::resolve(request)?;
-        if request.resumed.is_none() || resolved.is_given(keys::START) {
-            start::identify(&mut resolved)?;
+        let mut config = Self::build(layers::resolve(request)?)?;
+        if request.resumed.is_none() || config.resolved.is_given(keys::START) {
+            start::identify(&mut config.resolved)?;
         }
-        Self::build(resolved)
+        Ok(config)
     }
 
     /// The configuration with these settings, and no others of this process.
