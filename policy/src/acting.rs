@@ -10,7 +10,7 @@ use rand::RngCore;
 use serde::{Deserialize, Serialize};
 
 use crate::acting::reader::Reader;
-use crate::arrays::NamedArrays;
+use crate::arrays::{Array, NamedArrays};
 use crate::config::{CoreKind, InputNorm, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
@@ -28,6 +28,9 @@ pub struct ActorSpec {
     /// Absent for a LayerNorm, for compatibility with older snapshots.
     #[serde(skip_serializing_if = "Option::is_none")]
     input_norm: Option<InputNorm>,
+    /// As `input_norm`, after each layer of the MLP core.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hidden_norm: Option<InputNorm>,
     observation: usize,
     action: usize,
     encoder: usize,
@@ -51,6 +54,7 @@ impl ActorSpec {
         let spec = Self {
             core: config.core,
             input_norm: Some(config.input_norm).filter(|norm| *norm != InputNorm::LayerNorm),
+            hidden_norm: None,
             observation,
             action,
             encoder: config.encoder,
@@ -102,7 +106,9 @@ impl ActorSpec {
                     let name = format!("layers.{layer}.linear");
                     let shape = (from, self.width);
                     layers.push(LayerSpec::linear(&name, shape, Activation::Relu, RELU_GAIN));
-                    layers.push(LayerSpec::norm(&format!("layers.{layer}.norm"), self.width));
+                    if self.hidden_norm() == InputNorm::LayerNorm {
+                        layers.push(LayerSpec::norm(&format!("layers.{layer}.norm"), self.width));
+                    }
                     from = self.width;
                 }
             }
@@ -118,6 +124,12 @@ impl ActorSpec {
     #[must_use]
     pub fn input_norm(&self) -> InputNorm {
         self.input_norm.unwrap_or(InputNorm::LayerNorm)
+    }
+
+    /// Normalisation after each layer of the MLP core.
+    #[must_use]
+    pub fn hidden_norm(&self) -> InputNorm {
+        self.hidden_norm.unwrap_or(InputNorm::LayerNorm)
     }
 
     /// Kind of network.
@@ -184,6 +196,34 @@ pub struct Scratch {
 }
 
 impl ActorPolicy {
+    /// A policy of the MLP core without norms, for `observation` features and `action` action values. `parameters`
+    /// has, for each layer and then the head, the weight `[out, in]` and the bias `[out]`.
+    ///
+    /// # Errors
+    /// If `head` is invalid for `action` values, a number is not finite, or their count is wrong.
+    pub fn without_norms(
+        config: &PolicyConfig,
+        (observation, action): (usize, usize),
+        head: Head,
+        mut parameters: &[f32],
+    ) -> Result<Self, PolicyError> {
+        let norm = Some(InputNorm::None);
+        let spec = ActorSpec::new(config, observation, action, head)?;
+        let spec = ActorSpec { input_norm: norm, hidden_norm: norm, ..spec };
+        let layers = spec.layer_specs(1.0);
+        let (given, expected) = (parameters.len(), network_of(&layers).parameters());
+        if given != expected {
+            return Err(PolicyError::Restore(format!("{given} parameters, expected {expected}")));
+        }
+        let mut arrays = NamedArrays::new();
+        for (name, shape) in layers.iter().flat_map(LayerSpec::parameters) {
+            let (own, rest) = parameters.split_at(shape.iter().product());
+            arrays.insert(name, Array::F32 { shape, data: own.to_vec() });
+            parameters = rest;
+        }
+        Self::new(spec, arrays)
+    }
+
     /// A policy with the given spec and weights (PyTorch's names, `[out, in]`).
     pub(crate) fn new(spec: ActorSpec, arrays: NamedArrays) -> Result<Self, PolicyError> {
         spec.check()?;
@@ -198,7 +238,7 @@ impl ActorPolicy {
         let network = Packed::new(&network_of(&layers), &reader.layers(&layers)?);
         let sigma = match (spec.head(), spec.head().fixed_sigma()) {
             (_, Some(sigma)) => vec![sigma; spec.action],
-            (Head::Categorical { .. }, None) => Vec::new(),
+            (Head::Categorical { .. } | Head::TanhGaussian { .. }, None) => Vec::new(),
             (_, None) => {
                 let log_std = reader.vector("head.log_std", spec.action)?;
                 log_std.iter().map(|&x| kernels::sigmoid(x) * spec.sigma_scale).collect()
@@ -242,7 +282,7 @@ impl ActorPolicy {
         self.spec.head()
     }
 
-    /// Number of network outputs `out`: means or logits.
+    /// Number of network outputs `out`: means, means and deviations, or logits ([`Head::outputs`]).
     #[must_use]
     pub fn output_size(&self) -> usize {
         self.spec.outputs()
@@ -260,25 +300,33 @@ impl ActorPolicy {
         self.spec.chunk_steps
     }
 
-    /// Standard deviations of the action noise, `[act]`; empty for a categorical policy.
+    /// Standard deviations of the action noise, `[act]`; empty for a policy of choices and for one whose deviations
+    /// depend on the observation.
     #[must_use]
     pub fn sigma(&self) -> &[f32] {
         &self.sigma
     }
 
-    /// The same network with actions drawn uniformly from its action range.
+    /// The same network with actions drawn uniformly from its action range; it keeps no outputs for deviations.
     ///
     /// # Panics
     /// If the policy has no action range.
     #[must_use]
-    pub fn uniform(self) -> Self {
-        let (Head::Deterministic { low, high, .. } | Head::Uniform { low, high }) = self.head()
+    pub fn uniform(mut self) -> Self {
+        let (Head::Deterministic { low, high, .. }
+        | Head::Uniform { low, high }
+        | Head::TanhGaussian { low, high }) = self.head()
         else {
             panic!("{:?} has no range to draw from", self.head())
         };
-        let head = Head::Uniform { low, high };
-        let sigma = vec![head.fixed_sigma().expect("not learnt"); self.spec.action];
-        Self { spec: ActorSpec { head: Some(head), ..self.spec }, sigma, ..self }
+        for name in ["head.weight", "head.bias"] {
+            if let Some(Array::F32 { shape, data }) = self.arrays.get_mut(name) {
+                data.truncate(data.len() / shape[0] * self.spec.action);
+                shape[0] = self.spec.action;
+            }
+        }
+        let spec = ActorSpec { head: Some(Head::Uniform { low, high }), ..self.spec };
+        Self::new(spec, self.arrays).expect("the means of a valid network")
     }
 
     /// The same network with `standardisation` applied to its observations.
@@ -310,7 +358,7 @@ impl ActorPolicy {
         self.head().log_prob(output, &self.sigma, action)
     }
 
-    /// Computes outputs `[rows, out]`, means or logits, for observations `[rows, obs]` as the environment returns them, and
+    /// Computes outputs `[rows, out]` for observations `[rows, obs]` as the environment returns them, and
     /// advances `hidden` `[rows, H]` by one step.
     pub fn forward(
         &self,
