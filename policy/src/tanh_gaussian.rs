@@ -71,7 +71,8 @@ pub fn log_prob(output: &[f32], range: (f32, f32), action: &[f32]) -> f32 {
 }
 
 /// `log (1 - tanh(u)^2)`, also where tanh(u) rounds to 1: `2 (log 2 - |u| - log(1 + exp(-2 |u|)))`.
-fn log_slope(u: f64) -> f64 {
+#[must_use]
+pub fn log_slope(u: f64) -> f64 {
     let size = u.abs();
     2.0 * (LN_2 - size - libm::log1p(libm::exp(-2.0 * size)))
 }
