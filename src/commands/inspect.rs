@@ -42,13 +42,14 @@ fn is_key(word: &str) -> bool {
 fn explained(config: &RunConfig, key: &str) -> String {
     const OF_TASK: &str = "the weight in the task's file";
     let is_weight = keys::weighted_term(key).is_some();
-    let (value, origin) = match config.resolved.entries.get(key) {
-        Some(entry) => (config.resolved.shown(key), entry.origin.as_str()),
-        None => (OF_TASK.to_owned(), "the task"),
-    };
+    let (file, meaning) = presets::description(key).unwrap_or(("the task", ""));
     let default = match layers::default_of(key) {
         Ok(default) if !is_weight => default.to_string(),
         _ => OF_TASK.to_owned(),
+    };
+    let (value, origin) = match config.resolved.entries.get(key) {
+        Some(entry) => (config.resolved.shown(key), entry.origin.as_str()),
+        None => (default.clone(), file),
     };
     let matters = keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
     let effect = match matters {
@@ -59,7 +60,7 @@ fn explained(config: &RunConfig, key: &str) -> String {
         format!("{key} = {value}"),
         format!("  set by   {origin}{}", effect::remarks(config)(key)),
         format!("  default  {default}"),
-        format!("  meaning  {}", presets::description(key)),
+        format!("  meaning  {}", meaning),
         format!("  effect   {effect}"),
     ];
     lines.into_iter().filter(|line| !line.ends_with("meaning  ")).collect::<Vec<_>>().join("\n")

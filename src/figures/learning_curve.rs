@@ -203,8 +203,17 @@ fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
 type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 
 /// The shipped algorithms, in the order of their ranks: each has the same style in every picture.
-const ALGORITHMS: [&str; 8] =
-    ["happo-s2mia", "happo", "mappo", "maddpg", "happo-sm", "happo-smh", "happo-mi", "happo-0"];
+const ALGORITHMS: [&str; 9] = [
+    "happo-s2mia",
+    "happo",
+    "mappo",
+    "maddpg",
+    "happo-sm",
+    "happo-smh",
+    "happo-mi",
+    "happo-0",
+    "hasac",
+];
 
 /// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others those that are left.
 fn rank(name: &str, names: &[&str]) -> usize {
