@@ -4,7 +4,7 @@ use policy::setting::{SettingError, between, count, positive, within};
 use serde::{Deserialize, Serialize};
 
 /// HASAC's replay, batch norm and temperature. Learning rates, discount and sizes are in the sections `update`, `critic`
-/// and `policy`. Gradients are not clipped.
+/// and `policy`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HasacConfig {
@@ -24,9 +24,9 @@ pub struct HasacConfig {
     /// Fraction by which the running statistics of a batch norm approach those of a batch.
     pub norm_momentum: f64,
     /// Initial temperature of every policy, the weight of its entropy.
-    pub temperature: f64,
+    pub initial_temperature: f64,
     /// Decay of Adam's first moment.
-    pub first_moment_decay: f64,
+    pub first_moment: f64,
 }
 
 impl HasacConfig {
@@ -40,8 +40,8 @@ impl HasacConfig {
         within("hasac.policy_every", self.policy_every, 1.., "at least 1")?;
         let momentum = f64::MIN_POSITIVE..=1.0;
         within("hasac.norm_momentum", self.norm_momentum, momentum, "0 < norm_momentum <= 1")?;
-        positive("hasac.temperature", self.temperature)?;
-        let range = "0 <= first_moment_decay < 1";
-        within("hasac.first_moment_decay", self.first_moment_decay, 0.0..1.0, range)
+        positive("hasac.initial_temperature", self.initial_temperature)?;
+        let range = "0 <= first_moment < 1";
+        within("hasac.first_moment", self.first_moment, 0.0..1.0, range)
     }
 }

@@ -37,16 +37,16 @@ pub(super) struct PolicyMetrics {
     pub(super) gradient_norm: f64,
 }
 
-/// An optimiser without clipping.
+/// An optimiser with the first moment of HASAC.
 pub(super) fn adam(
-    learning_rate: f64,
+    (learning_rate, max_gradient_norm): (f64, f64),
     config: &TrainingConfig,
     own: &HasacConfig,
     parameters: &Parameters,
 ) -> Adam {
-    let (epsilon, max_gradient_norm) = (config.update.adam_epsilon, f64::INFINITY);
+    let epsilon = config.update.adam_epsilon;
     let adam = AdamConfig { learning_rate, epsilon, max_gradient_norm };
-    Adam::new(adam, parameters).with_first_decay(own.first_moment_decay)
+    Adam::new(adam, parameters).with_first_decay(own.first_moment)
 }
 
 impl HasacAgent {
@@ -60,15 +60,15 @@ impl HasacAgent {
         let shape = problem.agents[index].clone();
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(index as u32));
         let sizes = (shape.observation, policy.width, policy.layers, 2 * shape.action);
-        let learning_rate = config.update.learning_rate;
-        let adam = |parameters: &Parameters| adam(learning_rate, config, own, parameters);
+        let limits = (config.update.learning_rate, config.update.max_gradient_norm);
+        let adam = |parameters: &Parameters| adam(limits, config, own, parameters);
         let network = NormalisedNetwork::new(sizes, own.norm_momentum, adam, &mut rng)?;
         Ok(Self {
             index,
             config: policy.clone(),
             frozen: network.frozen()?,
             network,
-            temperature: Temperature::new(own.temperature, shape.action, adam)?,
+            temperature: Temperature::new(own.initial_temperature, shape.action, adam)?,
             shape,
         })
     }

@@ -38,8 +38,9 @@ impl TwinCritics {
         let network = |twin: u32| {
             let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation).agent(twin));
             let sizes = (problem.state + actions, critic.width, critic.layers, 1);
-            let adam =
-                |parameters: &Parameters| adam(critic.learning_rate, config, own, parameters);
+            let adam = |parameters: &Parameters| {
+                adam((critic.learning_rate, critic.max_gradient_norm), config, own, parameters)
+            };
             NormalisedNetwork::new(sizes, own.norm_momentum, adam, &mut rng)
         };
         Ok(Self {

@@ -389,3 +389,6 @@ impl FrozenNetwork {
         self.shards.par_iter_mut().zip(ranges).map(one).collect::<Vec<_>>().concat()
     }
 }
+
+#[cfg(test)]
+mod tests;
