@@ -249,3 +249,6 @@ impl StoredState for Hasac {
         self.experience.visit(visitor)
     }
 }
+
+#[cfg(test)]
+mod tests;
