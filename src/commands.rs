@@ -83,7 +83,7 @@ pub(crate) enum Command {
     Film(film::FilmArguments),
     /// Draw the learning curves of runs as PNG and SVG.
     Plot(plot::PlotArguments),
-    /// Serve a web page with the curves of several runs in the same charts; follows runs that still grow.
+    /// Serve the web page of one run or several from their folders: curves, episodes, settings; follows runs that still grow.
     Page(page::RunsPageArguments),
     /// Train tasks x variants x seeds in parallel, then make a table and figures; repeat the command to resume.
     Experiment(experiment::ExperimentArguments),

@@ -8,6 +8,7 @@ pub(crate) mod recorded;
 pub(crate) mod resume;
 pub(crate) mod run_path;
 pub(crate) mod session;
+pub(crate) mod start;
 pub(crate) mod stored;
 pub(crate) mod supervisor;
 pub(crate) mod verification;
@@ -17,7 +18,7 @@ use std::path::{Path, PathBuf};
 use actor::Transport;
 use clap::Args;
 use learner::launch::Launch;
-use learner::store::run_folder::RunFolder;
+use learner::store::run_folder::{CONFIG, RunFolder};
 use policy::RunSeed;
 use proto::Digest;
 use serde_json::json;
@@ -25,6 +26,7 @@ use serde_json::json;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, keys, layers, message_steps};
 use crate::errors::Usage;
+use crate::process::shell;
 use crate::run::offered::Offered;
 use crate::run::run_path::{NewFolder, Others, demand_resumable};
 use crate::run::stored::settings_of_run;
@@ -127,6 +129,7 @@ pub(crate) fn prepare_config(
         resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;
     }
     launch.resume = resumed.is_some();
+    launch.start = start::policies(&config.resolved, resumed)?;
     if !launch.resume {
         message_steps::fit(&mut config, &mut launch)?;
     }
@@ -196,11 +199,39 @@ fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Dige
         run_id: run_path::name(folder),
         folder: folder.to_path_buf(),
         config_toml: config.resolved.to_toml(),
+        command: command(config, folder),
         config_sha256: Digest(config.resolved.sha256()),
         build: BUILD.to_owned(),
         rollout_fingerprint: fingerprint,
         resume: false,
+        start: None,
     }
+}
+
+/// The command that begins a run with the settings of the one in `folder`: with those that differ from its task's, preset's
+/// and algorithm's, or for a task of the user's own, whose file may have changed, with the run's own file.
+pub(crate) fn command(config: &RunConfig, folder: &Path) -> String {
+    let resolved = &config.resolved;
+    let task = resolved.text("task");
+    let [preset, algorithm] =
+        ["preset", "algorithm"].map(|key| format!("{key}={}", resolved.text(key)));
+    let usual = match RunConfig::with(&[task, &preset, &algorithm]) {
+        Ok(usual) if config.task.definition.is_none() => usual.resolved,
+        _ => return format!("s2mia train --config {}", shell::path(&folder.join(CONFIG))),
+    };
+    let mut words = vec!["s2mia train".to_owned(), task.to_owned()];
+    for (key, entry) in &resolved.entries {
+        let value = &entry.value;
+        let differs = match key.as_str() {
+            "task" | "run.dir" => false,
+            "preset" | "algorithm" => layers::default_of(key).is_ok_and(|usual| usual != value),
+            _ => usual.entries.get(key).is_none_or(|usual| usual.value != *value),
+        };
+        if differs {
+            words.push(shell::word(&format!("{key}={}", resolved.plain(key))));
+        }
+    }
+    words.join(" ")
 }
 
 /// What helps if the simulated robot diverges; empty for the environment of another program.

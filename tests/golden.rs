@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and another setting of it.
-const CASES: [[&str; 3]; 12] = [
+const CASES: [[&str; 3]; 13] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -22,12 +22,13 @@ const CASES: [[&str; 3]; 12] = [
     ["halfcheetah-2x3", "mappo", "gru"],
     ["halfcheetah-2x3", "maddpg", "mlp"],
     ["halfcheetah-2x3", "happo-s2mia", "gru critic.core=gru"],
+    ["halfcheetah-2x3", "happo-sm-encoder", "mlp"],
     ["halfcheetah-2x3", "hasac", "mlp"],
     ["ant-4x2", "hasac", "mlp"],
 ];
 
 /// Cases that are repeated with each SIMD width: both cores, both rules with a replay, and a recurrent critic.
-const REPEATED: [[&str; 3]; 5] = [CASES[0], CASES[5], CASES[8], CASES[9], CASES[10]];
+const REPEATED: [[&str; 3]; 5] = [CASES[0], CASES[5], CASES[8], CASES[9], CASES[11]];
 
 /// Three iterations of 4 environments x 40 steps, of which MADDPG and HASAC learn in two. Widths are no multiples of 16 lanes,
 /// so that kernels also process remainders.

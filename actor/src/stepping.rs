@@ -184,17 +184,11 @@ impl Worlds {
         let mut recorder = None;
         let start = (key, choice(&self.run, index));
         let episode = play_episode(self.evaluation.as_mut(), &job.policy, start, |event| {
-            match &event {
-                StepEvent::Before(0, world) if index == FILMED => {
-                    recorder = FilmRecorder::before(*world)
-                }
-                StepEvent::Before(..) => {}
-                StepEvent::After(played) => {
-                    job.progress.step.store(played.step, Ordering::Relaxed);
-                    if let Some(recorder) = &mut recorder {
-                        recorder.capture(played.world);
-                    }
-                }
+            if let StepEvent::After(played) = &event {
+                job.progress.step.store(played.step, Ordering::Relaxed);
+            }
+            if index == FILMED {
+                FilmRecorder::follow(&mut recorder, &event);
             }
             if let Some(collector) = &mut collector {
                 collector.observe(&event);

@@ -1,11 +1,10 @@
 //! Speed of s2mia on this machine. `cargo bench -p s2mia [-- SECTION ...] [--quick] [--json]` measures the named
-//! sections, or all but `instructions`, and prints one Markdown table each, or JSON.
+//! sections, or all, and prints one Markdown table each, or JSON.
 //! docs/PERFORMANCE.md explains the figures.
 
 mod clock;
 mod end_to_end;
 mod inference;
-mod instructions;
 mod iteration;
 mod load;
 mod peak;
@@ -45,16 +44,11 @@ const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 /// Name of a section, description of its rows, and the function that measures them.
 type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<CaseRow>>);
 
-const SECTIONS: [Measurement; 11] = [
+const SECTIONS: [Measurement; 10] = [
     ("inference", "one step of a slot: all its agents in all its environments", inference::rows),
     ("shapes", "the updates below: preset `harl`, 20 environments x 200 steps", shapes::rows),
     ("update", "one update; its parts on one thread", update::rows),
     ("peak", "matrix products of an update on one thread, and of a core at its best", peak::rows),
-    (
-        "instructions",
-        "an update of one epoch, 5 environments x 200 steps, on one thread with AVX2",
-        instructions::rows,
-    ),
     ("end-to-end", "`s2mia train` with 2 actors, preset `harl`", end_to_end::rows),
     ("wire", "one iteration of `halfcheetah-6x1` with 2 actors, medians", wire::rows),
     ("traffic", "bytes that a slot sends and an actor fetches", wire::traffic),
@@ -67,16 +61,10 @@ const SECTIONS: [Measurement; 11] = [
     ("scaling", "one update of a synthetic task, on two threads", scaling::rows),
 ];
 
-/// The section that is measured only if named, because it takes minutes and needs valgrind.
-const ON_REQUEST: &str = "instructions";
-
 fn main() -> anyhow::Result<()> {
     choose_registers()?;
     let (options, wanted): (Vec<String>, Vec<String>) =
         std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
-    if let Some(case) = options.iter().find_map(|o| o.strip_prefix(instructions::ONE_UPDATE)) {
-        return instructions::one_update(case);
-    }
     // `cargo bench` passes --bench. `cargo test` does not; then only settings and shapes are checked.
     let strange = options.iter().find(|o| !["--bench", "--quick", "--json"].contains(&o.as_str()));
     if let Some(strange) = strange {
@@ -91,8 +79,7 @@ fn main() -> anyhow::Result<()> {
     let effort = if given("--quick") { QUICK } else { FULL };
     let mut sections = Vec::new();
     for (name, caption, measure) in SECTIONS {
-        let asked = wanted.iter().any(|wanted| wanted == name);
-        if !asked && (!wanted.is_empty() || name == ON_REQUEST) {
+        if !wanted.is_empty() && !wanted.iter().any(|wanted| wanted == name) {
             continue;
         }
         let section = Section { name, caption, rows: measure(effort)? };

@@ -103,11 +103,13 @@ impl CaseSettings {
             run_id: "speed".to_owned(),
             folder: folder.to_path_buf(),
             config_toml: String::new(),
+            command: String::new(),
             config_sha256: Digest([0; 32]),
             build: "test".to_owned(),
             rollout_fingerprint: rollout::rollout_fingerprint(),
             manifest: serde_json::json!({}),
             resume: false,
+            start: None,
         })
     }
 }

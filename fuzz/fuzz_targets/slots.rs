@@ -184,10 +184,10 @@ impl HostileActors {
     }
 
     fn is_bounded(&self) {
-        let held = self.table.footprint();
+        let held = self.table.counts();
         assert!(held.actors <= 4 * 16, "{held:?}");
-        assert!(held.open_leases <= 2 * (SLOTS as usize + 4 * 3), "{held:?}");
-        assert!(held.chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
+        assert!(held.leases <= 2 * (SLOTS as usize + 4 * 3), "{held:?}");
+        assert!(held.held_chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
         assert!(held.earlier_results <= 9 * SLOTS as usize, "{held:?}");
         assert!(held.finished_leases <= 4096, "{held:?}");
     }

@@ -54,6 +54,9 @@ impl<'a> Right<'a> {
     }
 }
 
+/// Maximum rows of a tile.
+const TILE_ROWS: usize = 12;
+
 /// Initial value of the chains of multiply-adds.
 #[derive(Clone, Copy)]
 pub(crate) enum InitialSum<'a> {
@@ -137,15 +140,17 @@ impl Operation for &Product<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let tiles = self.left.rows.div_ceil(S::TILE_ROWS);
+        let tiles = self.left.rows.div_ceil(S::TILE_SUMS.min(TILE_ROWS));
         let height = self.left.rows / tiles;
         let taller = self.left.rows % tiles;
         let groups = self.columns.div_ceil(LANES);
         let whole = if self.padded { groups } else { self.columns / LANES };
-        let side_by_side = groups_of_tile::<S>(height + usize::from(taller > 0));
+        let tallest = height + usize::from(taller > 0);
         let mut group = 0;
         while group < groups {
-            let count = if group + side_by_side <= whole { side_by_side } else { 1 };
+            // Several groups hide the latency of the multiply-adds and read each value of the left side once.
+            let fits = |count: &usize| count * tallest <= S::TILE_SUMS && group + count <= whole;
+            let count = [4, 2].into_iter().find(fits).unwrap_or(1);
             let mut row = 0;
             for tile in 0..tiles {
                 let rows = height + usize::from(tile < taller);
@@ -156,16 +161,6 @@ impl Operation for &Product<'_> {
             }
             group += count;
         }
-    }
-}
-
-/// Groups of columns in a tile of `rows` rows. With few rows, several groups hide the latency of the multiply-adds.
-#[inline(always)]
-fn groups_of_tile<S: Simd>(rows: usize) -> usize {
-    match rows {
-        _ if 4 * rows <= S::TILE_ROWS => 4,
-        _ if 2 * rows <= S::TILE_ROWS => 2,
-        _ => 1,
     }
 }
 
@@ -181,7 +176,7 @@ unsafe fn tile_of<S: Simd>(
     macro_rules! by_shape {
         ($($height:literal x $groups:literal,)*) => {
             match (rows, count) {
-                $(($height, $groups) if $height <= S::TILE_ROWS => {
+                $(($height, $groups) if $height * $groups <= S::TILE_SUMS => {
                     // SAFETY: guaranteed by the caller.
                     unsafe { tile::<S, $height, $groups>(simd, product, group, row) }
                 })*
@@ -191,7 +186,8 @@ unsafe fn tile_of<S: Simd>(
     }
     by_shape!(
         1 x 1, 2 x 1, 3 x 1, 4 x 1, 5 x 1, 6 x 1, 7 x 1, 8 x 1, 9 x 1, 10 x 1, 11 x 1, 12 x 1,
-        1 x 2, 2 x 2, 3 x 2, 4 x 2, 5 x 2, 6 x 2, 1 x 4, 2 x 4, 3 x 4,
+        1 x 2, 2 x 2, 3 x 2, 4 x 2, 5 x 2, 6 x 2, 7 x 2, 8 x 2, 9 x 2, 10 x 2, 11 x 2, 12 x 2,
+        1 x 4, 2 x 4, 3 x 4, 4 x 4, 5 x 4, 6 x 4,
     );
 }
 

@@ -22,8 +22,8 @@ pub(crate) trait Simd: Copy {
     /// Sixteen lanes.
     type Vector: Copy;
 
-    /// Maximum rows of a tile whose sums fit in registers.
-    const TILE_ROWS: usize;
+    /// Maximum number of vectors of sums of a tile, which all fit in registers.
+    const TILE_SUMS: usize;
 
     fn splat(self, x: f32) -> Self::Vector;
     fn load(self, from: &Line) -> Self::Vector;

@@ -72,6 +72,7 @@ fn cases() -> Vec<(Network, usize, usize)> {
         (normed_mlp(1, 1, 1), 1, 0),
         (normed_mlp(17, 33, 2), 7, 0),
         (mlp(23, 64, 3), 37, 0),
+        (mlp(9, 64, 6), 4, 0),
         (gru(1, 1, 1), 3, 3),
         (gru(17, 17, 3), 15, 3),
     ];

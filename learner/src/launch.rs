@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use marl::ObservationScale;
-use policy::{PolicyConfig, RunSeed};
+use marl::{Algorithm, MarlError, ObservationMoments, ObservationScale};
+use policy::{PolicyConfig, PolicySnapshot, RunSeed};
 use proto::{Digest, EnvironmentSpec, Incarnation, PROTOCOL_VERSION, RunDescription};
 use serde_json::{Value, json};
 
@@ -11,6 +11,10 @@ use crate::config::LearnerConfig;
 use crate::error::LearnerError;
 use crate::lease::end_states::StateReader;
 use crate::store::checkpoint;
+use crate::train::assemble::problem;
+
+/// What training changes, before the first iteration.
+pub(crate) type FirstState = (Box<dyn Algorithm>, ObservationMoments);
 
 /// The settings of a run and the parts of the program that it needs.
 #[derive(Clone, Debug)]
@@ -43,6 +47,8 @@ pub struct Launch {
     pub folder: PathBuf,
     /// All settings, for the run folder.
     pub config_toml: String,
+    /// Command that begins a run with the same settings, for the page.
+    pub command: String,
     /// Hash of the semantic settings.
     pub config_sha256: Digest,
     /// The numeric fingerprint that every actor must have.
@@ -53,19 +59,42 @@ pub struct Launch {
     pub manifest: Value,
     /// Whether to resume the run in the folder.
     pub resume: bool,
+    /// An encoded [`PolicySnapshot`] from which training begins; `None`: from policies that the seed draws, or a checkpoint.
+    pub start: Option<Vec<u8>>,
 }
 
 impl Launch {
-    /// Checks that the run can be described to actors; touches no file. The settings have been checked.
+    /// Checks that the run can be described to actors and can begin from its policies; touches no file. The settings have been
+    /// checked.
     ///
     /// # Errors
-    /// Names the field of the description that is invalid, such as a message that is too large.
+    /// Names the field of the description that is invalid, such as a message that is too large, or what differs between the
+    /// policies and the run.
     pub fn validate(&self) -> Result<(), LearnerError> {
+        if self.start.is_some() {
+            self.first_state()?;
+        }
         self.description(Incarnation(0)).validate().map_err(|refusal| {
             LearnerError::Other(format!(
                 "the run cannot be described to actors; the field of the message is {refusal}"
             ))
         })
+    }
+
+    /// The algorithm and the statistics of observations before the first iteration.
+    ///
+    /// # Errors
+    /// If the policies from which training begins are damaged or differ from those of the run.
+    pub(crate) fn first_state(&self) -> Result<FirstState, LearnerError> {
+        let problem = problem(&self.environment);
+        let mut algorithm = marl::build(&self.training, &self.policy, &problem, self.seed)?;
+        let mut observations = ObservationMoments::new(self.observations, &problem);
+        if let Some(bytes) = &self.start {
+            let policies = PolicySnapshot::from_bytes(bytes).map_err(MarlError::from)?;
+            marl::start_from(algorithm.as_mut(), &policies)?;
+            observations.start_from(&policies)?;
+        }
+        Ok((algorithm, observations))
     }
 
     /// The description that actors would get if a slot had one environment.

@@ -80,7 +80,7 @@ fn show(page: Page, trainer: &Trainer, exchange: &Arc<Exchange>) -> JoinSet<()> 
     let exchange = Arc::clone(exchange);
     let view = RunView { facts, exchange, curves: trainer.metrics.curves() };
     let mut serving = JoinSet::new();
-    serving.spawn(page::serve(page, Arc::new(view)));
+    serving.spawn(page::serve_live(page, Arc::new(view)));
     serving
 }
 

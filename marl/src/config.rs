@@ -29,7 +29,7 @@ pub struct TrainingConfig {
     /// Settings of MADDPG only.
     pub maddpg: MaddpgConfig,
     /// Settings of HASAC only; absent with other rules.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub hasac: Option<HasacConfig>,
 }
 

@@ -3,6 +3,7 @@
 pub(crate) mod categorical;
 pub(crate) mod diagonal_gaussian;
 mod moments;
+pub(crate) mod random_encoder;
 #[cfg(test)]
 mod tests;
 pub(crate) mod vae;
@@ -86,7 +87,7 @@ pub(crate) trait Density: Send + Sync {
         observations: Observations<'_>,
         context: DensityContext,
     ) -> Result<Vec<f64>, MarlError>;
-    /// Number of active features, and of features left out because they hardly vary.
+    /// Number of active features of the density, and of features left out because they hardly vary.
     fn features(&self) -> (usize, usize);
     /// The constant that the score adds to the log-density, nats: `1/2 log 2 pi` per active feature, which Eq. (4)
     /// omits.
@@ -114,6 +115,9 @@ pub(crate) fn build(
     Ok(match kind {
         DensityKind::DiagonalGaussian => Box::new(diagonal_gaussian::DiagonalGaussian(moments)),
         DensityKind::Categorical => Box::new(categorical::CategoricalDensity::new(moments)),
+        DensityKind::RandomEncoder => {
+            Box::new(random_encoder::RandomEncoder::new(signal.to_vec(), (seed, agent))?)
+        }
         DensityKind::Vae => Box::new(vae::Vae::new(vae::CONFIG, moments, (seed, agent))?),
     })
 }

@@ -31,6 +31,9 @@ pub enum MarlError {
     /// A stored state has a missing or an additional array, or one of another shape or type.
     #[error("stored state: {0}")]
     Restore(String),
+    /// Training cannot begin from these policies.
+    #[error("policy.start: {0}")]
+    Start(String),
     /// The backward pass did not reach a parameter.
     #[error("parameter {0} has no gradient")]
     NoGradient(String),

@@ -30,6 +30,7 @@ pub use error::MarlError;
 pub use optimisation::learning_rate::LearningRateDecay;
 pub use rules::algorithm::{Algorithm, Report};
 pub use rules::build;
+pub use rules::start::start_from;
 pub use state::StoredState;
 pub use surprise::Surprise;
 

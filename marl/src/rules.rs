@@ -7,6 +7,7 @@ mod maddpg;
 mod mappo;
 mod off_policy;
 mod on_policy;
+pub(crate) mod start;
 
 use policy::{PolicyConfig, RunSeed};
 

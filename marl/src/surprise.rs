@@ -1,7 +1,7 @@
 //! Surprise minimisation: densities fitted on `D_k`, and their rewards.
 //!
-//! If all agents see the same signal features (the tasks' `full_id` observations), all densities and rewards are equal.
-//! Surprise is individual only if observations are.
+//! If all agents see the same signal features (the tasks' `full_id` observations), all densities and rewards are equal,
+//! except for the draws of densities with networks. Surprise is individual only if observations are.
 
 mod agent;
 

@@ -4,174 +4,19 @@
 //! it.
 
 mod reader;
+mod spec;
 
-use kernels::{Activation, Input, Packed, SequenceLayout, Workspace};
+use kernels::{Input, Packed, SequenceLayout, Workspace};
 use rand::RngCore;
-use serde::{Deserialize, Serialize};
 
 use crate::acting::reader::Reader;
+pub use crate::acting::spec::ActorSpec;
 use crate::arrays::{Array, NamedArrays};
 use crate::config::{CoreKind, InputNorm, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
-use crate::layers::{LayerSpec, RELU_GAIN, TANH_GAIN, network_of};
+use crate::layers::{LayerSpec, network_of};
 use crate::standardisation::Standardisation;
-
-/// Maximum of every size in an [`ActorSpec`].
-const MAX_SIZE: usize = 1 << 20;
-
-/// Sizes and action distribution of one agent's policy; part of a snapshot.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ActorSpec {
-    core: CoreKind,
-    /// Absent for a LayerNorm, for compatibility with older snapshots.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    input_norm: Option<InputNorm>,
-    /// As `input_norm`, after each layer of the MLP core.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    hidden_norm: Option<InputNorm>,
-    observation: usize,
-    action: usize,
-    encoder: usize,
-    hidden: usize,
-    width: usize,
-    layers: usize,
-    chunk_steps: usize,
-    sigma_scale: f32,
-    /// Absent for a Gaussian, so that the bytes of its snapshot do not depend on which other heads exist.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    head: Option<Head>,
-}
-
-impl ActorSpec {
-    pub(crate) fn new(
-        config: &PolicyConfig,
-        observation: usize,
-        action: usize,
-        head: Head,
-    ) -> Result<Self, PolicyError> {
-        let spec = Self {
-            core: config.core,
-            input_norm: Some(config.input_norm).filter(|norm| *norm != InputNorm::LayerNorm),
-            hidden_norm: None,
-            observation,
-            action,
-            encoder: config.encoder,
-            hidden: config.hidden,
-            width: config.width,
-            layers: config.layers,
-            chunk_steps: config.backpropagation_steps,
-            sigma_scale: config.sigma_scale,
-            head: Some(head).filter(|head| *head != Head::Gaussian),
-        };
-        spec.check()?;
-        Ok(spec)
-    }
-
-    /// Rejects sizes that no network can have, before anything is computed from them.
-    fn check(&self) -> Result<(), PolicyError> {
-        let of_core = match self.core {
-            CoreKind::Gru => [("encoder", self.encoder), ("hidden", self.hidden)],
-            CoreKind::Mlp => [("width", self.width), ("layers", self.layers)],
-        };
-        let shared = [("observation", self.observation), ("action", self.action)];
-        for (name, size) in shared.into_iter().chain(of_core) {
-            if !(1..=MAX_SIZE).contains(&size) {
-                let detail = format!("{name} is {size}, expected 1 to {MAX_SIZE}");
-                return Err(PolicyError::Snapshot(detail));
-            }
-        }
-        self.head().check(self.action)
-    }
-
-    /// The network's layers; the head's weights are initialised with the gain `head_gain`.
-    pub(crate) fn layer_specs(&self, head_gain: f64) -> Vec<LayerSpec> {
-        let mut layers = Vec::new();
-        if self.input_norm() == InputNorm::LayerNorm {
-            layers.push(LayerSpec::norm("encoder.norm", self.observation));
-        }
-        match self.core {
-            CoreKind::Gru => {
-                let encoder = (self.observation, self.encoder);
-                let tanh = Activation::Tanh;
-                let gain = TANH_GAIN;
-                layers.push(LayerSpec::linear("encoder.linear", encoder, tanh, gain));
-                layers.push(LayerSpec::gru("gru", self.encoder, self.hidden));
-                layers.push(LayerSpec::norm("output.norm", self.hidden));
-            }
-            CoreKind::Mlp => {
-                let mut from = self.observation;
-                for layer in 0..self.layers {
-                    let name = format!("layers.{layer}.linear");
-                    let shape = (from, self.width);
-                    layers.push(LayerSpec::linear(&name, shape, Activation::Relu, RELU_GAIN));
-                    if self.hidden_norm() == InputNorm::LayerNorm {
-                        layers.push(LayerSpec::norm(&format!("layers.{layer}.norm"), self.width));
-                    }
-                    from = self.width;
-                }
-            }
-        }
-        let squashed = self.head().scale().is_some();
-        let activation = if squashed { Activation::Tanh } else { Activation::Identity };
-        let head = (self.feature_size(), self.outputs());
-        layers.push(LayerSpec::linear("head", head, activation, head_gain));
-        layers
-    }
-
-    /// Normalisation of the network's input.
-    #[must_use]
-    pub fn input_norm(&self) -> InputNorm {
-        self.input_norm.unwrap_or(InputNorm::LayerNorm)
-    }
-
-    /// Normalisation after each layer of the MLP core.
-    #[must_use]
-    pub fn hidden_norm(&self) -> InputNorm {
-        self.hidden_norm.unwrap_or(InputNorm::LayerNorm)
-    }
-
-    /// Kind of network.
-    #[must_use]
-    pub fn core(&self) -> CoreKind {
-        self.core
-    }
-
-    /// Number of layers of the MLP core.
-    #[must_use]
-    pub fn layers(&self) -> usize {
-        self.layers
-    }
-
-    /// Action distribution.
-    #[must_use]
-    pub fn head(&self) -> Head {
-        self.head.unwrap_or(Head::Gaussian)
-    }
-
-    pub(crate) fn outputs(&self) -> usize {
-        self.head().outputs(self.action)
-    }
-
-    pub(crate) fn feature_size(&self) -> usize {
-        match self.core {
-            CoreKind::Gru => self.hidden,
-            CoreKind::Mlp => self.width,
-        }
-    }
-
-    pub(crate) fn hidden_size(&self) -> usize {
-        match self.core {
-            CoreKind::Gru => self.hidden,
-            CoreKind::Mlp => 0,
-        }
-    }
-
-    pub(crate) fn sigma_scale(&self) -> f64 {
-        f64::from(self.sigma_scale)
-    }
-}
 
 /// One agent's policy.
 #[derive(Clone, Debug)]
@@ -298,6 +143,12 @@ impl ActorPolicy {
     #[must_use]
     pub fn chunk_steps(&self) -> usize {
         self.spec.chunk_steps
+    }
+
+    /// The standardisation of observations before the network, if any.
+    #[must_use]
+    pub fn standardisation(&self) -> Option<&Standardisation> {
+        self.standardisation.as_ref()
     }
 
     /// Standard deviations of the action noise, `[act]`; empty for a policy of choices and for one whose deviations

@@ -3,7 +3,7 @@
 use std::fmt;
 
 /// Position of an environment in its episode, which every encoded state contains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EpisodePosition {
     /// Index of the episode in its environment.
     pub episode: u64,

@@ -3,6 +3,8 @@
 use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
 use sim::{Capsule, EnvironmentBatch, LinkShape, Robot};
 
+use crate::step_event::StepEvent;
+
 /// Index of the filmed episode of each evaluation.
 pub const FILMED: u32 = 0;
 
@@ -45,6 +47,19 @@ impl FilmRecorder {
         let mut recorder = Self { capsules, film, frames: 0 };
         recorder.capture(world);
         Some(recorder)
+    }
+
+    /// Captures what an episode shows at `event`; `recorder` is `None` before the episode.
+    pub fn follow(recorder: &mut Option<Self>, event: &StepEvent<'_>) {
+        match event {
+            StepEvent::Before(0, world) => *recorder = Self::before(*world),
+            StepEvent::Before(..) => {}
+            StepEvent::After(played) => {
+                if let Some(recorder) = recorder {
+                    recorder.capture(played.world);
+                }
+            }
+        }
     }
 
     /// Captures a frame, unless the film is full.

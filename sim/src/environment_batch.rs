@@ -2,11 +2,31 @@
 
 use proto::{AgentSpec, EnvironmentSpec, EpisodePosition};
 
+use crate::config::TaskConfig;
+use crate::environments::RobotEnvironments;
 use crate::error::{ActionError, SimError};
+use crate::game::cue::Cue;
+use crate::game::signal::Signal;
+use crate::game::{Game, GameEnvironments};
 use crate::robot::Robot;
 use crate::scene::Pose;
 use crate::state::StateBounds;
 use crate::world::World;
+
+/// Returns `count` environments of a task, of a simulated robot or a game, in their rest state, in episode 0.
+///
+/// # Errors
+/// If the task is unknown or does not allow these settings, or `count` is 0.
+pub fn environments(
+    config: &TaskConfig,
+    count: usize,
+) -> Result<Box<dyn EnvironmentBatch>, SimError> {
+    Ok(match config.task.as_str() {
+        Cue::NAME => Box::new(GameEnvironments::<Cue>::new(config, count)?),
+        Signal::NAME => Box::new(GameEnvironments::<Signal>::new(config, count)?),
+        _ => Box::new(RobotEnvironments::new(config, count)?),
+    })
+}
 
 /// The environments of a slot. Observations, states and rewards depend only on the reset key, the restored state and
 /// the actions. Environments outside this process fail with [`SimError::External`].

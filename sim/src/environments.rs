@@ -57,18 +57,18 @@ struct Environment {
 /// Returns `config`, without contact forces if the task does not support them.
 fn effective(config: &ObservationConfig, rules: &Rules) -> ObservationConfig {
     let contact_forces =
-        if rules.feels_contacts() { config.contact_forces } else { ContactForces::Absent };
+        if rules.contact_forces { config.contact_forces } else { ContactForces::Absent };
     ObservationConfig { contact_forces, ..config.clone() }
 }
 
 /// Bounds of the states of a task.
 fn state_bounds(task: &Task) -> StateBounds {
     let rules = &task.rules;
-    let [action_delay, observation_delay] = rules.disturbance().longest_delays();
+    let [action_delay, observation_delay] = rules.disturbance.longest_delays();
     let remembered = action_delay.max(u32::from(rules.reads_last_action()));
     let measured = rules.measured_features(&task.robot).len();
     StateBounds {
-        actions: remembered as usize * task.robot.blueprint().motors.len(),
+        actions: remembered as usize * task.robot.blueprint.motors.len(),
         measurements: observation_delay as usize * measured,
         has_draws: rules.has_draws(),
         ..task.robot.state_bounds(task.episode_steps)
@@ -176,8 +176,8 @@ impl EnvironmentBatch for RobotEnvironments {
         let position = EpisodePosition { episode, step: 0, limit };
         let mut state = rest(&self.robot, &self.bounds, &self.motors, position);
         let mut rng = generator(key, DrawPurpose::Start, 0);
-        self.rules.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
-        self.rules.start_activations(&mut state.activations);
+        self.rules.start.randomise(&mut rng, &mut state.coordinates, &mut state.velocities);
+        self.rules.start.set_activations(&mut state.activations);
         let is_disturbed = self.starts_disturbed();
         state.draws = self.bounds.has_draws.then_some(EpisodeDraws { key, is_disturbed });
         let bytes = state.to_bytes(&self.bounds.kind);
@@ -190,11 +190,11 @@ impl EnvironmentBatch for RobotEnvironments {
     }
 
     fn can_be_disturbed(&self) -> bool {
-        self.rules.disturbance().are_stated()
+        self.rules.disturbance.are_stated()
     }
 
     fn drawn(&self) -> Vec<String> {
-        self.rules.drawn_lines()
+        [self.rules.command.lines(), self.rules.disturbance.row.lines()].concat()
     }
 
     fn restore(&mut self, environment: usize, state: &[u8]) -> Result<(), SimError> {
@@ -222,7 +222,7 @@ impl EnvironmentBatch for RobotEnvironments {
     fn observation(&self, environment: usize, agent: usize, out: &mut [f32]) {
         assert_eq!(out.len(), self.description.agents[agent].observation.len(), "observation");
         let Environment { seen, sensors, .. } = &self.environments[environment];
-        let view = sensors.as_ref().map_or(seen.as_slice(), Sensors::observed);
+        let view = sensors.as_ref().map_or(seen, |sensors| &sensors.observed);
         self.observation.see(agent, view, out);
     }
 
@@ -233,7 +233,7 @@ impl EnvironmentBatch for RobotEnvironments {
 
     fn pose(&self, environment: usize) -> Pose {
         let world = &self.environments[environment].world;
-        let root = self.robot.layout().root;
+        let root = self.robot.layout.root;
         Pose { links: world.link_poses(), root, joints: world.joint_poses() }
     }
 
@@ -267,7 +267,7 @@ impl RobotEnvironments {
     fn starts_disturbed(&self) -> bool {
         match self.disturbances {
             Disturbances::AsInTraining => true,
-            Disturbances::AsInEvaluations => self.rules.disturbance().are_in_evaluations(),
+            Disturbances::AsInEvaluations => self.rules.disturbance.row.in_evaluations,
             Disturbances::Off => false,
         }
     }
@@ -302,11 +302,7 @@ impl RobotEnvironments {
         }
         remember(&mut self.next.actions, &self.asked, &environment.now.actions);
         if let Some(sensors) = &environment.sensors {
-            remember(
-                &mut self.next.measurements,
-                sensors.measured(),
-                &environment.now.measurements,
-            );
+            remember(&mut self.next.measurements, &sensors.measured, &environment.now.measurements);
         }
         self.next.draws = environment.now.draws;
         std::mem::swap(&mut environment.now, &mut self.next);
@@ -318,7 +314,7 @@ impl RobotEnvironments {
     fn update_state(&mut self, index: usize) {
         let Environment { now, seen, drawn, sensors, .. } = &mut self.environments[index];
         if let Some(draws) = &now.draws {
-            self.rules.disturbance().draw_forces(draws, now.position.step, drawn);
+            self.rules.disturbance.draw_forces(draws, now.position.step, drawn);
         }
         self.rules.state(&motion(&self.robot, now), drawn, seen);
         if let Some(sensors) = sensors {

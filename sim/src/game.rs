@@ -133,15 +133,8 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
 
     fn encode(&self, environment: usize) -> Result<Vec<u8>, SimError> {
         let episode = &self.episodes[environment];
-        let state = State {
-            position: episode.position,
-            coordinates: episode.game.numbers(),
-            velocities: Vec::new(),
-            activations: Vec::new(),
-            actions: Vec::new(),
-            measurements: Vec::new(),
-            draws: None,
-        };
+        let (position, coordinates) = (episode.position, episode.game.numbers());
+        let state = State { position, coordinates, ..State::default() };
         Ok(state.to_bytes(&self.bounds.kind))
     }
 
@@ -194,13 +187,7 @@ fn bounds<G: Game>() -> StateBounds {
         longest: EPISODE_STEPS,
         coordinates: G::bounds(),
         is_whole: G::IS_WHOLE,
-        velocities: 0,
-        fastest: 0.0,
-        activations: Vec::new(),
-        actions: 0,
-        measurements: 0,
-        has_draws: false,
-        orientations: Vec::new(),
+        ..StateBounds::default()
     }
 }
 

@@ -16,7 +16,6 @@ mod observation;
 mod probe;
 mod robot;
 mod scene;
-mod simulation;
 pub mod spelling;
 mod state;
 mod task;
@@ -27,7 +26,7 @@ pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
     TaskDefinition,
 };
-pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions};
+pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions, environments};
 pub use error::{ActionError, SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;
@@ -35,7 +34,6 @@ pub use robot::{Actuator, Robot, Torque, one_document};
 pub use scene::{
     Capsule, Hull, JointPose, LinkPose, LinkShape, Pose, Shape, WORLD, drivers, rotated,
 };
-pub use simulation::environments;
 pub use state::{EpisodeDraws, State, StateBounds};
 pub use task::task_names;
 pub use world::World;

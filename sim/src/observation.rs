@@ -139,7 +139,7 @@ pub(crate) fn near(
     own: &[&str],
     state: &GlobalState,
 ) -> Vec<usize> {
-    let neighbourhood = robot.neighbourhood();
+    let neighbourhood = &robot.neighbourhood;
     let levels = neighbourhood.levels(own, config.nearest);
     let mut names: Vec<String> = Vec::new();
     let feature = |kind: &'static str| move |name: &String| format!("{name}.{kind}");

@@ -6,8 +6,8 @@ use crate::config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
     TaskDefinition,
 };
+use crate::environment_batch::environments;
 use crate::environment_batch::{EnvironmentBatch, Outcome};
-use crate::simulation::environments;
 use crate::task::task_names;
 
 /// Steps with each task and scaling: long enough for contacts.

@@ -20,7 +20,6 @@ mod mesh;
 mod model;
 mod neighbourhood;
 mod nesting;
-mod one_document;
 mod softness;
 mod surface;
 
@@ -43,11 +42,10 @@ pub(crate) use blueprint::{
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
 pub(crate) use fluid::Fluid;
-pub(crate) use frame::{product, turned, unit};
+pub(crate) use frame::{product, turned, unit, wide};
 pub(crate) use kinematics::{Place, PlaceMotion};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orientation};
 pub(crate) use neighbourhood::Neighbourhood;
-pub use one_document::one_document;
 #[cfg(test)]
 pub(crate) use softness::Reference;
 pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
@@ -90,11 +88,11 @@ const LINKS_TOUCH: bool = true;
 /// A robot from which worlds are created. Immutable and shared.
 pub struct Robot {
     name: String,
-    frame_skip: u32,
-    neighbourhood: Neighbourhood,
-    blueprint: Blueprint,
-    layout: Layout,
-    template: Template,
+    pub(crate) frame_skip: u32,
+    pub(crate) neighbourhood: Neighbourhood,
+    pub(crate) blueprint: Blueprint,
+    pub(crate) layout: Layout,
+    pub(crate) template: Template,
 }
 
 /// Replaces a damping ratio by MuJoCo's damping, `2 ratio sqrt(kp m)`, where `m` is the inertia of the joint or tendon with all
@@ -113,6 +111,28 @@ fn damp(motor: &mut MotorPlan, layout: &Layout) {
         let damping = 2.0 * ratio * (servo.gain * inertia).sqrt();
         servo.bias[2] = if damping.is_finite() { -damping } else { 0.0 };
     }
+}
+
+/// Reads a model as one document. A document that needs no other file is returned unchanged. Otherwise the files that
+/// it includes become part of it, colliding meshes become the corners of their convex hulls, and masses that come
+/// from meshes become `inertial` elements; what has no effect on the motion is left out. `read` returns the content of
+/// a file, or the reason why it cannot be read. Its paths are relative to the model's folder and never leave it.
+///
+/// # Errors
+/// If a file cannot be read or the model cannot be built.
+pub fn one_document(
+    document: &str,
+    read: impl Fn(&str) -> Result<Vec<u8>, String>,
+) -> Result<String, SimError> {
+    let refused = |reason| SimError::Model { robot: document.to_owned(), reason };
+    let mut folder = folder::Folder::new(document, &read).map_err(refused)?;
+    let text = folder.document().map_err(refused)?;
+    model::read(&text, &mut folder).map_err(refused)?;
+    if folder.known.len() == 1 {
+        return Ok(text);
+    }
+    folder.recount();
+    model::flat(&text, &mut folder).map_err(refused)
 }
 
 impl Robot {
@@ -261,7 +281,7 @@ impl Robot {
             };
             link.shapes.iter().map(shape).collect::<Vec<_>>()
         };
-        self.blueprint().links.iter().flat_map(of_link).collect()
+        self.blueprint.links.iter().flat_map(of_link).collect()
     }
 
     /// Positions of the hinges in the frames of their child links, metres, in the order of a pose's joints.
@@ -286,39 +306,16 @@ impl Robot {
             kind: self.state_kind(),
             longest,
             coordinates: self.layout.coordinate_bounds.clone(),
-            is_whole: false,
             velocities: self.layout.velocity_names.len(),
             activations: self.activations().map(Activation::bounds).collect(),
             fastest: layout::FASTEST,
-            actions: 0,
-            measurements: 0,
-            has_draws: false,
             orientations: self.layout.quaternions().collect(),
+            ..StateBounds::default()
         }
     }
 
     /// Activations of the actuators that have one, in the model's order, `[m]`.
     pub(crate) fn activations(&self) -> impl Iterator<Item = &Activation> {
         self.blueprint.motors.iter().filter_map(|motor| motor.activation.as_ref())
-    }
-
-    pub(crate) fn neighbourhood(&self) -> &Neighbourhood {
-        &self.neighbourhood
-    }
-
-    pub(crate) fn frame_skip(&self) -> u32 {
-        self.frame_skip
-    }
-
-    pub(crate) fn blueprint(&self) -> &Blueprint {
-        &self.blueprint
-    }
-
-    pub(crate) fn layout(&self) -> &Layout {
-        &self.layout
-    }
-
-    pub(crate) fn template(&self) -> &Template {
-        &self.template
     }
 }

@@ -31,7 +31,7 @@ pub struct EpisodeDraws {
 }
 
 /// Complete state from which an environment continues.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// Position in the episode.
     pub position: EpisodePosition,
@@ -53,7 +53,7 @@ pub struct State {
 }
 
 /// Bounds of a state of a robot in a task.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct StateBounds {
     /// Kind of the state, such as `rapier/halfcheetah`.
     pub kind: String,

@@ -238,7 +238,7 @@ impl TaskDefinition {
 /// Motors of each agent. A joint's name stands for all its actuators, that of an actuator for one of them; each belongs to
 /// exactly one agent.
 fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, SimError> {
-    let motors = &robot.blueprint().motors;
+    let motors = &robot.blueprint.motors;
     if motors.is_empty() {
         let reason =
             "the model has no actuators, so there is nothing to learn; add an <actuator> section";
@@ -289,22 +289,22 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
 /// Checks that the features which `k_nearest` shows exist.
 fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     let mut features = rules.measured_features(robot);
-    features.extend([rules.command_features(), rules.disturbance_features()].concat());
+    features.extend([rules.command.features(), rules.disturbance_features()].concat());
     let features: Vec<String> = features.into_iter().map(|feature| feature.name).collect();
     let state = Names::new("feature in its global state", &features);
     let driven = robot.actuators().flat_map(|actuator| actuator.moved);
     let driven = driven.map(|joint| ("agents", joint));
-    let near = robot.neighbourhood().edges.iter().flatten();
+    let near = robot.neighbourhood.edges.iter().flatten();
     for (key, joint) in driven.chain(near.map(|joint| ("neighbourhood.edges", joint.as_str()))) {
         for part in &robot.numbers_of(joint)[0] {
             state.index(key, &format!("{part}.position"))?;
         }
     }
-    for name in &robot.neighbourhood().globals {
+    for name in &robot.neighbourhood.globals {
         state.index("neighbourhood.globals", name)?;
     }
     let bodies = Names::new("body", robot.bodies());
-    for row in &robot.neighbourhood().touching {
+    for row in &robot.neighbourhood.touching {
         let coordinate = format!("{}.position", robot.numbers_of(&row.joint)[0][0]);
         state.index("neighbourhood.touching.joint", &coordinate)?;
         row.bodies

@@ -51,11 +51,11 @@ impl World {
 
     /// As [`Self::new`], with every physics step split into `parts` shorter ones, for higher accuracy.
     pub fn refined(robot: Arc<Robot>, parts: u32) -> Self {
-        let physics = empty_world(robot.blueprint(), parts);
+        let physics = empty_world(&robot.blueprint, parts);
         let step_secs = physics.integration_parameters.dt;
         let mut world = Self {
-            drives: HingeDrives::new(robot.blueprint(), robot.layout(), step_secs),
-            enforcer: match robot.blueprint().law {
+            drives: HingeDrives::new(&robot.blueprint, &robot.layout, step_secs),
+            enforcer: match robot.blueprint.law {
                 Law::Constraints => {
                     Enforcer::Constraints(Box::new(Constraints::new(&robot, step_secs)))
                 }
@@ -64,7 +64,7 @@ impl World {
                 }
             },
             physics,
-            substeps: robot.frame_skip() * parts,
+            substeps: robot.frame_skip * parts,
             conditions: None,
             robot: Arc::clone(&robot),
         };
@@ -125,7 +125,7 @@ impl World {
 
     /// Runs one physics step with the last controls. Returns whether the state is still finite.
     pub fn substep(&mut self) -> bool {
-        let layout = self.robot.layout();
+        let layout = &self.robot.layout;
         let set = &mut self.physics.multibody_joints;
         let robot = set.get_multibody_mut(layout.multibody).expect("the template holds the robot");
         self.drives.apply(robot, &layout.hinges);
@@ -148,7 +148,7 @@ impl World {
     /// Writes the generalised coordinates `[nq]` relative to the rest pose, m and rad.
     pub fn coordinates(&self, out: &mut [f32]) {
         let multibody = self.multibody();
-        for joint in &self.robot.layout().joints {
+        for joint in &self.robot.layout.joints {
             read_coordinates(multibody, joint, &mut out[joint.coordinate..]);
         }
     }
@@ -156,7 +156,7 @@ impl World {
     /// Writes the generalised velocities `[nv]`, m/s and rad/s.
     pub fn velocities(&self, out: &mut [f32]) {
         let velocities = self.multibody().generalized_velocity();
-        for joint in &self.robot.layout().joints {
+        for joint in &self.robot.layout.joints {
             let (count, sign) = match joint.kind {
                 MapKind::Planar => (3, 1.0),
                 MapKind::Fixed => (0, 1.0),
@@ -172,7 +172,7 @@ impl World {
 
     /// Frames of all links in the world.
     pub(crate) fn link_poses(&self) -> Vec<LinkPose> {
-        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         links
             .map(|(plan, joint)| {
                 let (position, quaternion) = parts(&self.frame(joint));
@@ -188,7 +188,7 @@ impl World {
         let mut velocities = vec![0.0; robot.velocity_names().len()];
         self.coordinates(&mut coordinates);
         self.velocities(&mut velocities);
-        let hinges = robot.layout().joints.iter().enumerate();
+        let hinges = robot.layout.joints.iter().enumerate();
         hinges
             .filter(|(_, joint)| matches!(joint.kind, MapKind::Hinge { .. }))
             .map(|(link, joint)| JointPose {
@@ -201,7 +201,7 @@ impl World {
     }
 
     fn start(&mut self, coordinates: &[f32], velocities: &[f32]) {
-        self.robot.template().copy_into(&mut self.physics);
+        self.robot.template.copy_into(&mut self.physics);
         self.drives.clear();
         self.apply_conditions();
         self.write(coordinates, velocities);
@@ -209,11 +209,11 @@ impl World {
 
     /// Sets all joints and links to this motion, and what the engine's solver reads. The contacts keep their impulses.
     fn write(&mut self, coordinates: &[f32], velocities: &[f32]) {
-        for index in 0..self.robot.layout().joints.len() {
-            let joint = self.robot.layout().joints[index];
+        for index in 0..self.robot.layout.joints.len() {
+            let joint = self.robot.layout.joints[index];
             self.write_joint(index, &joint, coordinates, velocities);
         }
-        let index = self.robot.layout().multibody;
+        let index = self.robot.layout.multibody;
         let multibody = self.physics.multibody_joints.get_multibody_mut(index);
         let multibody = multibody.expect("the template holds the robot");
         multibody.forward_kinematics(&self.physics.bodies, true);
@@ -223,7 +223,7 @@ impl World {
     }
 
     fn multibody(&self) -> &Multibody {
-        let index = self.robot.layout().multibody;
+        let index = self.robot.layout.multibody;
         self.physics.multibody_joints.get_multibody(index).expect("the template holds the robot")
     }
 
@@ -239,11 +239,11 @@ impl World {
         coordinates: &[f32],
         velocities: &[f32],
     ) {
-        let plan = &self.robot.blueprint().links[index];
-        let index = self.robot.layout().multibody;
+        let plan = &self.robot.blueprint.links[index];
+        let index = self.robot.layout.multibody;
         let multibody = self.physics.multibody_joints.get_multibody_mut(index);
         let multibody = multibody.expect("the template holds the robot");
-        let template = self.robot.template().multibody_joints.get_multibody(index);
+        let template = self.robot.template.multibody_joints.get_multibody(index);
         let template = template.and_then(|template| template.link(joint.link));
         let q = &coordinates[joint.coordinate..];
         let link = multibody.link_mut(joint.link).expect("the layout is this robot's");

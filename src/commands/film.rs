@@ -159,7 +159,7 @@ fn times_shown(frames: &[TimedPose<'_>], every_secs: f64) -> String {
 }
 
 /// Only the simulator's robots have links that can be drawn.
-fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
+pub(super) fn demand_simulator(trained: &Trained, run: &Path) -> Result<(), Usage> {
     match trained.config.environment.url.as_str() {
         "" => Ok(()),
         url => Err(Usage::new(format!(

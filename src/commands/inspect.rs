@@ -43,15 +43,19 @@ fn explained(config: &RunConfig, key: &str) -> String {
     const OF_TASK: &str = "the weight in the task's file";
     let is_weight = keys::weighted_term(key).is_some();
     let (file, meaning) = presets::description(key).unwrap_or(("the task", ""));
+    let (value, origin) = match config.resolved.entries.contains_key(key) {
+        true => (config.resolved.shown(key), config.resolved.origin(key)),
+        false if is_weight => (OF_TASK.to_owned(), file),
+        false => ("none".to_owned(), file),
+    };
     let default = match layers::default_of(key) {
         Ok(default) if !is_weight => default.to_string(),
         _ => OF_TASK.to_owned(),
     };
-    let (value, origin) = match config.resolved.entries.get(key) {
-        Some(entry) => (config.resolved.shown(key), entry.origin.as_str()),
-        None => (default.clone(), file),
-    };
-    let matters = keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
+    // The policies that a place names are part of the hash, not the place.
+    let is_start = key == keys::START;
+    let matters =
+        is_start || keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
     let effect = match matters {
         true => "part of config_sha256: another value is another run",
         false => "affects no result of the steps that are trained",

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use clap::Args;
 use learner::store::plain_file;
-use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, STARTS};
+use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, START_POLICIES, STARTS};
 
 use crate::config::keys::URL;
 use crate::config::run_config::RunConfig;
@@ -13,7 +13,7 @@ use crate::errors::Usage;
 use crate::figures::chart;
 use crate::process::{output, shell, target};
 use crate::run::recorded::Recorded;
-use crate::run::run_path;
+use crate::run::{run_path, start};
 
 /// `s2mia pack`
 #[derive(Args, Debug)]
@@ -60,7 +60,8 @@ fn write(recorded: &Recorded, pack: &Path) -> anyhow::Result<()> {
         loaded.copy_to(pack, &packed(recorded.settings_after(*iteration)?))?;
     }
     target::file(&pack.join(CONFIG), packed(recorded.settings_after(0)?).as_bytes())?;
-    for name in [STARTS, METRICS, PROVENANCE, MANIFEST] {
+    let kept = [START_POLICIES].into_iter().filter(|name| recorded.folder.join(name).exists());
+    for name in kept.chain([STARTS, METRICS, PROVENANCE, MANIFEST]) {
         let file = recorded.folder.join(name);
         let bytes = plain_file::read(&file);
         let bytes = bytes.with_context(|| format!("cannot read {}", file.display()))?;
@@ -75,6 +76,7 @@ fn packed(config: RunConfig) -> String {
     resolved.set("run.dir", "", "pack");
     let url = on_this_machine(resolved.text(URL));
     resolved.set(URL, url, "pack");
+    start::take_kept(&mut resolved, Path::new(""));
     resolved.to_toml()
 }
 

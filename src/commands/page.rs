@@ -1,20 +1,28 @@
-//! `s2mia page`: one web page with the curves of several runs, from nothing but their folders.
+//! `s2mia page`: the web page of runs, finished or growing, from nothing but their folders.
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use clap::Args;
-use learner::observe::metrics::Curves;
-use learner::serve::page::{OverlaidRun, Overlay};
+use learner::observe::metrics::{self, Curves, Returns};
+use learner::observe::snapshot::FilmedEpisode;
+use learner::serve::page::{EpisodeName, RunFacts, Runs, ShownRun, ShownRuns};
 use learner::store::json_lines::JsonLinesReader;
 use learner::store::run_folder::{METRICS, RunFolder};
+use learner::store::{checkpoint, plain_file};
+use proto::{ActionChoice, EvaluationResult, PolicyVersion};
+use rollout::FilmRecorder;
 
+use crate::commands::film;
 use crate::endpoints::PageAccess;
 use crate::figures::learning_curve;
 use crate::process::runtime;
-use crate::run::run_path;
+use crate::run::chosen::{self, Which};
+use crate::run::{self, run_path, stored};
 
 /// `s2mia page`
 #[derive(Args, Debug)]
@@ -37,6 +45,8 @@ pub(crate) struct RunsPageArguments {
 
 /// How often the metrics are read, at most.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
+/// Number of episodes that can be chosen of each checkpoint.
+const EPISODES: u32 = 1000;
 
 /// Serves the page until the process is stopped.
 pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
@@ -48,14 +58,95 @@ pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
         if arguments.runs.is_empty() { run_path::all_runs()? } else { arguments.runs.clone() };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
     let folders: Vec<_> = folders.iter().map(|folder| RunFolder::of(folder)).collect();
-    let followed = Mutex::new(Followed::of(&folders));
-    let look = move || followed.lock().unwrap_or_else(PoisonError::into_inner).look();
+    let stored = StoredRuns {
+        followed: Mutex::new(Followed::of(&folders)),
+        folders,
+        played: Mutex::default(),
+    };
     runtime()?.block_on(async {
         let advice = "choose another port, or 0 for any free one";
         let page = access.open(("--listen", *listen), advice, None).await?;
-        learner::serve::page::serve_overlay(page, look).await;
+        learner::serve::page::serve(page, Arc::new(stored)).await;
         Ok(())
     })
+}
+
+/// The runs in folders.
+struct StoredRuns {
+    folders: Vec<PathBuf>,
+    followed: Mutex<Followed>,
+    /// The newest played episode, which is requested again if the browser did not wait for it. Locked while an episode is
+    /// played, so that requests cannot occupy more than one core.
+    played: Mutex<Option<Played>>,
+}
+
+/// A played episode.
+struct Played {
+    run: usize,
+    name: EpisodeName,
+    film: Arc<FilmedEpisode>,
+}
+
+impl StoredRuns {
+    fn folder(&self, run: usize) -> Result<&Path, String> {
+        let unknown = || format!("there is no run {run}, only {} runs", self.folders.len());
+        self.folders.get(run).map(PathBuf::as_path).ok_or_else(unknown)
+    }
+}
+
+impl Runs for StoredRuns {
+    fn look(&self) -> ShownRuns {
+        self.followed.lock().unwrap_or_else(PoisonError::into_inner).look()
+    }
+
+    fn facts(&self, run: usize) -> Result<RunFacts, String> {
+        facts(self.folder(run)?).map_err(|error| format!("{error:#}"))
+    }
+
+    fn film(&self, run: usize, name: EpisodeName) -> Result<Option<Arc<FilmedEpisode>>, String> {
+        let folder = self.folder(run)?;
+        let Ok(mut played) = self.played.try_lock() else { return Ok(None) };
+        let is_this = |known: &&Played| (known.run, known.name) == (run, name);
+        if let Some(known) = played.as_ref().filter(is_this) {
+            return Ok(Some(Arc::clone(&known.film)));
+        }
+        let film = Arc::new(play(folder, name).map_err(|error| format!("{error:#}"))?);
+        *played = Some(Played { run, name, film: Arc::clone(&film) });
+        Ok(Some(film))
+    }
+}
+
+fn facts(folder: &Path) -> anyhow::Result<RunFacts> {
+    let (file, config) = stored::settings_of_run(folder)?;
+    let settings = plain_file::read_to_string(&file).with_context(|| file.display().to_string())?;
+    Ok(RunFacts {
+        manifest: RunFolder::recorded(folder).unwrap_or_default(),
+        settings,
+        command: run::command(&config, folder),
+        iterations: config.iterations(),
+        env_steps: config.env_steps(),
+    })
+}
+
+/// Plays an episode of a checkpoint with mean actions, as `s2mia film` does.
+fn play(folder: &Path, name: EpisodeName) -> anyhow::Result<FilmedEpisode> {
+    let trained = stored::trained(&chosen::of_run(folder, &Which::Iteration(name.iteration))?)?;
+    film::demand_simulator(&trained, folder)?;
+    let mut hosted = trained.environment()?;
+    let start = (trained.episode(name.index).key(), ActionChoice::Mean);
+    let mut recorder = None;
+    let world = hosted.environment.as_mut();
+    let episode = rollout::play_episode(world, &trained.policy, start, |event| {
+        FilmRecorder::follow(&mut recorder, &event);
+    })
+    .context("the episode failed")?;
+    let film = recorder.context("the task has no robot that can be drawn")?.film();
+    let result = EvaluationResult {
+        episode: name.index,
+        extrinsic_return: episode.extrinsic_return,
+        steps: episode.steps,
+    };
+    Ok(FilmedEpisode { version: PolicyVersion(name.iteration), result, film })
 }
 
 /// Several runs, whose metrics are read when the page is requested.
@@ -66,11 +157,14 @@ struct Followed {
 }
 
 struct FollowedRun {
+    folder: PathBuf,
     name: String,
     /// Name of its group of seeds, or why its settings cannot be read.
     group: Result<String, String>,
     metrics: JsonLinesReader,
     curves: Arc<Curves>,
+    /// Mean returns of the evaluations.
+    returns: Returns,
     /// Lines that are no JSON objects.
     damaged: u64,
     /// Why the metrics could not be read at the last attempt.
@@ -79,17 +173,34 @@ struct FollowedRun {
 
 impl FollowedRun {
     fn new(folder: &Path, name: String, group: Result<String, String>) -> Self {
-        let metrics = JsonLinesReader::of(folder.join(METRICS));
-        Self { name, group, metrics, curves: Arc::default(), damaged: 0, error: None }
+        Self {
+            folder: folder.to_path_buf(),
+            name,
+            group,
+            metrics: JsonLinesReader::of(folder.join(METRICS)),
+            curves: Arc::default(),
+            returns: BTreeMap::new(),
+            damaged: 0,
+            error: None,
+        }
     }
 
-    fn shown(&self) -> OverlaidRun {
-        let name = self.name.clone();
-        let curves = Arc::clone(&self.curves);
+    fn shown(&self) -> ShownRun {
+        // A folder of checkpoints that cannot be read has no episodes to choose from.
+        let checkpoints = checkpoint::all(&self.folder).unwrap_or_default();
+        let evaluated = |iteration| (iteration, self.returns.get(&iteration).copied());
         let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.trouble());
         let troubles = troubles.collect::<Vec<_>>().join("; ");
         let trouble = Some(troubles).filter(|troubles| !troubles.is_empty());
-        OverlaidRun { name, group: self.group.clone().ok(), trouble, curves }
+        ShownRun {
+            name: self.name.clone(),
+            group: self.group.clone().ok(),
+            trouble,
+            curves: Arc::clone(&self.curves),
+            live: None,
+            policies: checkpoints.into_iter().map(evaluated).collect(),
+            episodes: EPISODES,
+        }
     }
 
     /// What of the metrics cannot be read, if anything.
@@ -111,8 +222,10 @@ impl FollowedRun {
                 let is_readable_again = self.error.take().is_some();
                 if new.from_the_start {
                     (self.curves, self.damaged) = (Arc::default(), 0);
+                    self.returns.clear();
                 }
                 self.damaged += new.damaged;
+                self.returns.extend(metrics::returns(&new.lines));
                 let curves = Arc::make_mut(&mut self.curves);
                 new.lines.iter().for_each(|line| curves.add(line));
                 is_readable_again || new.damaged > 0 || !new.lines.is_empty()
@@ -138,13 +251,13 @@ impl Followed {
     }
 
     /// The curves, read again if the last look is old enough.
-    fn look(&mut self) -> Overlay {
+    fn look(&mut self) -> ShownRuns {
         if self.looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
             self.follow();
             self.looked = Some(Instant::now());
         }
         let runs = self.runs.iter().map(FollowedRun::shown).collect();
-        Overlay { version: self.version, runs }
+        ShownRuns { version: self.version, runs }
     }
 
     fn follow(&mut self) {
@@ -223,7 +336,7 @@ mod tests {
         let mut file = std::fs::File::options().append(true).open(&path).unwrap();
         file.write_all(line.as_bytes()).unwrap();
         followed.follow();
-        let Overlay { version, runs } = followed.look();
+        let ShownRuns { version, runs } = followed.look();
         assert_eq!((version, runs[0].curves.lines()), (2, 2));
     }
 }

@@ -11,6 +11,7 @@ use proto::Episodes;
 use recording::trajectory_log::{is_log_name, totals};
 use tokio::sync::watch;
 
+use crate::config::keys::START;
 use crate::config::run_config::RunConfig;
 use crate::endpoints::PageArguments;
 use crate::figures::{chart, learning_curve};
@@ -77,8 +78,12 @@ async fn train(
 
 /// The first line: the folder and the settings of the run.
 fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
+    let start = match config.resolved.text(START) {
+        "" => String::new(),
+        start => format!(", from the policies of {start}"),
+    };
     format!(
-        "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps",
+        "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps{start}",
         folder.display(),
         config.resolved.text("algorithm"),
         config.run.seed,
@@ -152,7 +157,7 @@ impl Closing<'_> {
             }
         };
         format!(
-            "next:\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
+            "next:\n  s2mia page {run}\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
         )
     }
 }
@@ -213,6 +218,7 @@ mod tests {
             "finished: 1,000,000 env steps, 250 iterations, 12m03s",
             "evaluation return -3.2 -> 2345.6",
             "checkpoint: runs/a/checkpoints/iter_00000250",
+            "s2mia page runs/a",
             "s2mia plot runs/a",
             "s2mia eval runs/a",
             "s2mia record runs/a",

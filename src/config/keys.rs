@@ -16,11 +16,21 @@ pub(crate) const URL: &str = "environment_service.url";
 /// Key of the environments of a slot.
 pub(crate) const PER_SLOT: &str = "environments.per_slot";
 
+/// Key of the place of the trained policies from which a run starts.
+pub(crate) const START: &str = "policy.start";
+
+/// Key of the SHA-256 of these policies, which the program fills in.
+pub(crate) const START_SHA256: &str = "policy.start_sha256";
+
+/// Keys that configurations have only if they are given, besides the weights of reward terms. Their values are texts.
+pub(super) const OPTIONAL: [&str; 2] = [START, START_SHA256];
+
 /// Keys and sections that affect where and when a run computes, never its result.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
     FOLDER,
     URL,
+    START,
     PER_SLOT,
     "lease.",
     "audit.",
@@ -63,9 +73,10 @@ pub(super) fn switched_off(key: &str, value: &Value) -> &'static [&'static str] 
     }
 }
 
-/// The operational keys and sections that a resume may change, for messages. The run folder cannot change.
+/// The operational keys and sections that a resume may change, for messages. The run folder cannot change, nor can the policies
+/// from which the run started.
 pub(crate) fn free_on_resume() -> String {
-    let named = OPERATIONAL.iter().filter(|key| **key != FOLDER);
+    let named = OPERATIONAL.iter().filter(|key| ![FOLDER, START].contains(key));
     let named = named.map(|key| match key.strip_suffix('.') {
         Some(section) => format!("{section}.*"),
         None => (*key).to_owned(),
@@ -196,13 +207,13 @@ mod tests {
 
     #[test]
     fn operational_keys_differ_from_semantic_ones() {
-        let operational = "run.actors run.dir run.iterations run.env_steps environment_service.url \
+        let operational = "run.actors run.dir run.iterations run.env_steps environment_service.url policy.start \
                            environments.per_slot lease.ttl_secs learner.threads log.episodes";
         for key in operational.split(' ') {
             assert!(!is_semantic(key), "{key}");
         }
         let semantic = "task algorithm run.seed environment_service.description environments.count \
-                        policy.core update.gamma";
+                        policy.core policy.start_sha256 update.gamma";
         for key in semantic.split(' ') {
             assert!(is_semantic(key), "{key}");
         }

@@ -42,10 +42,11 @@ static A_WEIGHT: Value = Value::Float(0.0);
 static DEFAULTS: LazyLock<Values> = LazyLock::new(|| written_in(presets::BASE));
 
 /// Every key with its default. The section of one algorithm is in that algorithm's file alone, and so only in the
-/// settings of its runs.
+/// settings of its runs; keys without a default are empty texts here.
 static KNOWN: LazyLock<Values> = LazyLock::new(|| {
+    let optional = keys::OPTIONAL.map(|key| (key.to_owned(), Value::String(String::new())));
     let own = presets::ALGORITHMS.iter().copied().flat_map(own_section);
-    own.chain(DEFAULTS.clone()).collect()
+    own.chain(DEFAULTS.clone()).chain(optional).collect()
 });
 
 /// The values of an algorithm's file whose keys `configs/base.toml` lacks.
@@ -136,8 +137,7 @@ fn base_layer() -> SettingsLayer {
     SettingsLayer { place, source: Source::Program, values }
 }
 
-/// The sections of algorithms of which the layers name a setting, so that it is read and refused as any other without the
-/// algorithm.
+/// The sections of algorithms of which the layers name a setting, which is then read and refused as any other.
 fn named_sections(asked: &[SettingsLayer]) -> impl Iterator<Item = SettingsLayer> {
     let is_named = |key: &String| asked.iter().any(|layer| layer.values.contains_key(key));
     presets::ALGORITHMS.iter().filter_map(move |algorithm| {

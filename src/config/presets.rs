@@ -45,6 +45,7 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "algorithms":
     "happo-s2mia",
     "happo-sm",
+    "happo-sm-encoder",
     "happo-smh",
     "happo-mi",
     "happo-0",
@@ -69,7 +70,7 @@ pub(crate) fn description(key: &str) -> Option<(&'static str, &'static str)> {
     files.into_iter().find_map(|file| Some((file.path, described(file.text, key)?)))
 }
 
-/// The description of a setting in the text of a file that has it.
+/// The description of a setting in the text of a file that has it; one without a default is a comment there.
 fn described(text: &'static str, key: &str) -> Option<&'static str> {
     let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
     let mut current = "";
@@ -77,6 +78,7 @@ fn described(text: &'static str, key: &str) -> Option<&'static str> {
         if let Some(header) = line.strip_prefix('[') {
             current = header.trim_end_matches(']');
         }
+        let line = line.strip_prefix("# ").unwrap_or(line);
         let (left, value) = line.split_once('=')?;
         let is_it = left.trim() == name && current == section;
         is_it.then(|| value.split_once('#').map_or("", |(_, description)| description.trim()))
@@ -117,6 +119,7 @@ mod tests {
         for (key, file, starts) in [
             ("surprise.alpha", base, "weight of log p_theta(o)"),
             ("policy.layers", base, "mlp: "),
+            ("policy.start", base, "trained policies"),
             ("run.iterations", base, "number of iterations, which overrides env_steps"),
             ("hasac.batch", hasac, "transitions per update"),
         ] {

@@ -8,6 +8,7 @@ use policy::setting::{SettingError, multiple, within};
 use proto::EnvironmentSpec;
 
 use super::conditions::{Condition, HASAC, INFLUENCE, MADDPG, OFF_POLICY, Property, RunContext};
+use super::keys::START;
 use super::message_steps::{MESSAGE, SLOT, WINDOW};
 use super::resolved::ConfigError;
 use super::run_config::RunConfig;
@@ -66,6 +67,11 @@ const TABLE: &[Rule] = &[
         INFLUENCE,
         &[HASAC],
         "0 with update.rule = hasac: Eq. 10 adds the influence to an on-policy surrogate",
+    ),
+    rule(
+        Not(START, ""),
+        &[HASAC],
+        "absent with update.rule = hasac: policies have batch norms folded into their weights, which cannot be trained on",
     ),
     rule(OFF_POLICY, &[Environment(Discrete)], "happo or mappo for a task with discrete actions"),
     rule(
@@ -189,6 +195,7 @@ mod tests {
         (&["algorithm=maddpg", "critic.state_norm=running"], "critic.state_norm = running"),
         (&["algorithm=maddpg", "influence.lambda=0.01"], "influence.lambda = 0.01"),
         (&["algorithm=hasac", "influence.lambda=0.01"], "influence.lambda = 0.01"),
+        (&["algorithm=hasac", "policy.start=runs/one"], "policy.start = runs/one"),
         (&["cue-2x1", "algorithm=maddpg"], "update.rule = maddpg"),
         (&["influence.estimator=count"], "influence.estimator = count"),
         (

@@ -14,6 +14,7 @@ use super::conditions::RunContext;
 use super::layers::{self, Request};
 use super::resolved::{ConfigError, Resolved, in_words};
 use super::{effect, keys, message_steps, own_task, rules};
+use crate::run::start;
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
@@ -99,9 +100,14 @@ pub(crate) struct RunConfig {
 }
 
 impl RunConfig {
-    /// The configuration with the settings that `request` names, as [`Self::build`].
+    /// The configuration with the settings that `request` names, as [`Self::build`]. The policies from which a new run starts
+    /// are read.
     pub(crate) fn of(request: &Request) -> Result<Self, ConfigError> {
-        Self::build(layers::resolve(request)?)
+        let mut resolved = layers::resolve(request)?;
+        if request.resumed.is_none() || resolved.is_given(keys::START) {
+            start::identify(&mut resolved)?;
+        }
+        Self::build(resolved)
     }
 
     /// The configuration with these settings, and no others of this process.
@@ -129,7 +135,9 @@ impl RunConfig {
 
     /// Converts the settings to the crates' types.
     fn read(resolved: Resolved) -> Result<Self, ConfigError> {
-        let text = resolved.to_toml();
+        let mut sectioned = resolved.clone();
+        sectioned.entries.retain(|key, _| !keys::OPTIONAL.contains(&key.as_str()));
+        let text = sectioned.to_toml();
         let sections: Sections = typed(&resolved, &text)?;
         let [file, model] =
             [own_task::FILE, own_task::MODEL].map(|key| resolved.text(key).to_owned());
@@ -302,6 +310,7 @@ mod tests {
         for (algorithm, alpha, lambda, entropy) in [
             ("happo", 0.0, 0.0, 0.01),
             ("happo-sm", 0.01, 0.0, 0.0),
+            ("happo-sm-encoder", 0.01, 0.0, 0.0),
             ("happo-smh", 0.01, 0.0, 0.01),
             ("happo-s2mia", 0.01, 0.01, 0.0),
             ("happo-mi", 0.0, 0.01, 0.0),

@@ -8,8 +8,7 @@ use policy::{ActorPolicy, Head, PolicySnapshot};
 use serde_json::json;
 use sim::EnvironmentBatch;
 
-use crate::errors::Usage;
-use crate::run::chosen::ChosenArguments;
+use crate::run::chosen::{ChosenArguments, Which};
 use crate::run::pretrained::{TeamRecord, team_record};
 use crate::run::stored::{self, Trained};
 use crate::run::{pretrained, run_path};
@@ -20,8 +19,7 @@ use crate::run::{pretrained, run_path};
 /// # Errors
 /// If there is no valid checkpoint, or the settings of the run are damaged.
 pub fn trained(run: PathBuf, checkpoint: Option<&str>) -> anyhow::Result<(PolicySnapshot, String)> {
-    let refused = |why| Usage::new(format!("checkpoint: {why}"));
-    let checkpoint = checkpoint.map(str::parse).transpose().map_err(refused)?;
+    let checkpoint = checkpoint.map(Which::from);
     let path = ChosenArguments { run: Some(run), checkpoint }.path()?;
     let record = path.to_str().filter(|_| !path.exists()).and_then(team_record);
     described(&path, stored::trained(&path)?, record)
@@ -32,11 +30,11 @@ pub fn trained(run: PathBuf, checkpoint: Option<&str>) -> anyhow::Result<(Policy
 /// # Errors
 /// If there are none.
 pub fn pretrained(task: &str) -> anyhow::Result<(PolicySnapshot, String)> {
-    let trained = pretrained::of_task(task)?.with_context(|| {
+    let team = pretrained::of_task(task)?.with_context(|| {
         let known = pretrained::tasks().collect::<Vec<_>>().join(", ");
         format!("the program has no trained team for `{task}`; it has teams for {known}")
     });
-    described(Path::new(task), trained?, team_record(task))
+    described(Path::new(task), team?.trained()?, team_record(task))
 }
 
 /// The policies of the run at `run`, and their description. A team of the program has a `record`.

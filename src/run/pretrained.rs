@@ -1,7 +1,7 @@
 //! The trained teams that come with the program, one per task. A command takes the name of the task in place of a run.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, is_separator};
 use std::sync::LazyLock;
 
 use anyhow::Context as _;
@@ -13,6 +13,7 @@ use sim::spelling::nearest;
 
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
+use crate::run::run_path;
 use crate::run::stored::Trained;
 
 /// Where a team comes from: a run of its task with the default settings.
@@ -75,12 +76,31 @@ pub(crate) fn team_record(task: &str) -> Option<&'static TeamRecord> {
     RECORDS.get(task)
 }
 
-/// The team that a command's argument names; `None` if it is the path of something, or like the name of no task.
+/// A team that comes with the program.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Team {
+    task: &'static str,
+    /// Its encoded policies.
+    policies: &'static [u8],
+}
+
+/// The team that a command's argument names; `None` if it is a path.
 ///
 /// # Errors
-/// As of [`of_task`].
-pub(crate) fn named(run: &Path) -> anyhow::Result<Option<Trained>> {
-    run.to_str().filter(|_| !run.exists()).map_or(Ok(None), of_task)
+/// As of [`of_task`]; or it is the path of nothing, and no path of a folder in another one.
+pub(crate) fn named(run: &Path) -> anyhow::Result<Option<Team>> {
+    let Some(name) = run.to_str().filter(|_| !run.exists()) else { return Ok(None) };
+    let team = of_task(name)?;
+    if team.is_none() && !name.contains(is_separator) {
+        let tasks = tasks().collect::<Vec<_>>().join(", ");
+        let why = match run_path::meant(run) {
+            Some(run) => format!("did you mean `{}`?", run.display()),
+            None => format!("tasks with a trained team are {tasks}"),
+        };
+        let why = format!("`{name}` is neither a folder nor a task with a trained team; {why}");
+        return Err(Usage::new(why).into());
+    }
+    Ok(team)
 }
 
 /// Names of the tasks with a team.
@@ -92,9 +112,9 @@ pub(crate) fn tasks() -> impl Iterator<Item = &'static str> {
 ///
 /// # Errors
 /// The program has no team for the task, or the name is that of a team with typing errors.
-pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Trained>> {
-    if let Some((task, bytes)) = TEAMS.iter().find(|(task, _)| *task == name) {
-        return trained(task, bytes).map(Some);
+pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Team>> {
+    if let Some((task, policies)) = TEAMS.iter().find(|(task, _)| *task == name) {
+        return Ok(Some(Team { task, policies }));
     }
     let all = sim::task_names();
     let meant = nearest(name, tasks()).or_else(|| nearest(name, all.iter().copied()));
@@ -110,13 +130,19 @@ pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Trained>> {
     Err(Usage::new(why).into())
 }
 
-fn trained(task: &str, bytes: &[u8]) -> anyhow::Result<Trained> {
-    let TeamRecord { seed, iteration, env_steps, .. } = RECORDS[task];
-    let config = RunConfig::with(&[task, &format!("run.seed={seed}")])?;
-    let policy = PolicySnapshot::from_bytes(bytes).context("cannot read the team's policies")?;
-    let weights = WeightsName { version: PolicyVersion(iteration), digest: Digest::of(bytes) };
-    let config_sha256 = hex(&config.resolved.sha256());
-    Ok(Trained { config, iteration, env_steps, policy, weights, config_sha256 })
+impl Team {
+    /// Its policies with the settings of their run.
+    pub(crate) fn trained(self) -> anyhow::Result<Trained> {
+        let Self { task, policies } = self;
+        let TeamRecord { seed, iteration, env_steps, .. } = RECORDS[task];
+        let config = RunConfig::with(&[task, &format!("run.seed={seed}")])?;
+        let digest = Digest::of(policies);
+        let policy =
+            PolicySnapshot::from_bytes(policies).context("cannot read the team's policies")?;
+        let weights = WeightsName { version: PolicyVersion(iteration), digest };
+        let config_sha256 = hex(&config.resolved.sha256());
+        Ok(Trained { config, iteration, env_steps, policy, weights, config_sha256 })
+    }
 }
 
 #[cfg(test)]

@@ -152,7 +152,7 @@ fn lines(file: &Path) -> anyhow::Result<Vec<Value>> {
 }
 
 /// The lines of a file, if there is one. A crash may have left half of the last one, which does not count.
-fn all_lines(file: &Path) -> anyhow::Result<Vec<Value>> {
+pub(crate) fn all_lines(file: &Path) -> anyhow::Result<Vec<Value>> {
     let read = JsonLinesReader::of(file.to_path_buf()).more();
     let read = read.with_context(|| format!("cannot read {}", file.display()))?;
     ensure!(read.damaged == 0, "{} has {} damaged lines", file.display(), read.damaged);

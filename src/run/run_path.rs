@@ -7,6 +7,7 @@ use std::time::SystemTime;
 use anyhow::Context as _;
 use learner::store::run_folder::{CONFIG, RunFolder, STARTS};
 use learner::store::{checkpoint, durable, plain_file};
+use sim::spelling::nearest;
 use time::OffsetDateTime;
 
 use crate::config::run_config::RunConfig;
@@ -31,12 +32,26 @@ pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
         return Ok(());
     }
     let shown = folder.display();
+    let meant = || match meant(folder) {
+        Some(run) => format!("; did you mean `{}`?", run.display()),
+        None => String::new(),
+    };
     Err(Usage::new(match RunFolder::around(folder) {
         Some(run) => {
             format!("`{shown}` is no run folder, but in the run {}; name that", run.display())
         }
+        None if !folder.exists() => format!("there is no `{shown}`{}", meant()),
         None => format!("`{shown}` is no run folder: it has no {CONFIG}"),
     }))
+}
+
+/// The run that the path of nothing probably means: one with a similar name, beside it or in the folder `runs`.
+pub(crate) fn meant(path: &Path) -> Option<PathBuf> {
+    let beside = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+    let known: Vec<_> =
+        [beside.unwrap_or(Path::new(".")), Path::new(RUNS)].into_iter().flat_map(folders).collect();
+    let name = nearest(file_name(path)?, known.iter().filter_map(|run| file_name(run)))?;
+    known.iter().find(|run| file_name(run) == Some(name)).cloned()
 }
 
 /// Refuses a folder that contains no run, and the folder of a checkpoint, which does not record how it was computed.

@@ -117,7 +117,7 @@ pub(crate) fn load_if_any(run: &Path) -> anyhow::Result<Option<Loaded>> {
 /// The newest policy of a run, or the trained team of a task that `run` names.
 pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     if let Some(team) = pretrained::named(run)? {
-        return Ok(team);
+        return team.trained();
     }
     let loaded = load(run)?;
     let (file, config) = settings_of_run(run)?;

@@ -22,7 +22,7 @@ use crate::process::{self, output, runtime};
 use crate::run::recorded::Recorded;
 use crate::run::run_path::Others;
 use crate::run::verification::lines::{has_other_settings, same};
-use crate::run::{self, BUILD, PreparedRun, session};
+use crate::run::{self, BUILD, PreparedRun, session, start};
 
 /// Iterations of a run that one start computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -165,6 +165,7 @@ impl<'a> Verifier<'a> {
         let mut resolved = own.resolved;
         resolved.take_machine(&RunConfig::with(&[])?.resolved);
         resolved.set("run.dir", folder.display().to_string(), "verification");
+        start::take_kept(&mut resolved, &self.recorded.folder);
         Ok(RunConfig::build(resolved)?)
     }
 

@@ -22,6 +22,7 @@ mod roles;
 mod runs;
 mod serve;
 mod shutdown;
+mod start;
 mod teams;
 mod train;
 mod verify;

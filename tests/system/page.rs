@@ -7,7 +7,9 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::processes::{Background, Learner, actor, eventually, passes};
-use crate::runs::{Runs, command, failure, metrics, status, succeeded, train, weights};
+use crate::runs::{
+    Runs, command, evaluated, failure, metrics, status, succeeded, success, text, train, weights,
+};
 
 /// The learner of a long run with evaluations, and the address of its page.
 fn learner(folder: &Path) -> (Learner, Page) {
@@ -100,20 +102,23 @@ fn the_figures_of_prometheus_and_of_the_page_equal_the_metrics_and_the_status() 
     // Without an actor, the figures do not change between requests.
     drop(actor);
     let shown = eventually(|| {
-        let status = page.json("/api/status");
-        let waits = status["stage"] == "collect" && status["status"]["actors"] == 0;
-        if waits { Ok(status) } else { Err(status.to_string()) }
+        let runs = page.json("/api/runs");
+        let live = &runs["runs"][0]["live"];
+        let waits = live["stage"] == "collect" && live["status"]["actors"] == 0;
+        if waits { Ok(runs) } else { Err(runs.to_string()) }
     });
+    let run = &shown["runs"][0];
+    let of_page = &run["live"]["status"];
     let line = metrics(&folder, "iteration").pop().unwrap();
     let scrape = page.get("/metrics");
-    assert_eq!(shown["status"], status(&learner.url));
+    assert_eq!(*of_page, status(&learner.url));
     for (name, of_status) in [
         ("s2mia_iteration", "iteration"),
         ("s2mia_env_steps_total", "env_steps"),
         ("s2mia_leases_reissued_total", "leases_reissued"),
         ("s2mia_slots{state=\"complete\"}", "complete_slots"),
     ] {
-        assert_eq!(sample(&scrape, name), shown["status"][of_status].as_f64().unwrap(), "{name}");
+        assert_eq!(sample(&scrape, name), of_page[of_status].as_f64().unwrap(), "{name}");
     }
     for (name, of_metrics) in [
         ("s2mia_iteration", "iteration"),
@@ -135,13 +140,15 @@ fn the_figures_of_prometheus_and_of_the_page_equal_the_metrics_and_the_status() 
     // Two environments, ten steps, a state of more than ten numbers of four bytes.
     assert!(sample(&scrape, "s2mia_ingest_bytes_total") > 800.0 * chunks);
     // Every second iteration has an evaluation with a film.
-    let film = page.json("/api/film");
-    assert_eq!(film["iteration"], shown["film"]);
+    let [iteration, extrinsic_return] =
+        [0, 1].map(|k| run["policies"].as_array().unwrap().last().unwrap()[k].clone());
+    let film = page.json(&format!("/api/film/0/{iteration}/0"));
+    assert_eq!(film["return"], extrinsic_return);
     let numbers = film["ends"].as_array().unwrap().len();
     assert_eq!(numbers, 400 * film["radii"].as_array().unwrap().len() * 6);
     let curves = page.json("/api/curves");
-    assert_eq!(curves["lines"], shown["lines"]);
-    let curve = &curves["curves"]["rollout_secs"];
+    assert_eq!(curves["version"], shown["version"]);
+    let curve = &curves["curves"][0]["rollout_secs"];
     assert_eq!(curve[0].as_array().unwrap().len() as u64, line["iteration"].as_u64().unwrap());
 }
 
@@ -167,7 +174,15 @@ fn idle_connections_and_continuous_requests_do_not_block_the_run_or_affect_its_w
     let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(&page.0).unwrap()).collect();
     let actor = actor(&learner.url, &[]);
     eventually(|| {
-        let paths = ["/", "/api/run", "/api/status", "/api/curves", "/api/film", "/metrics"];
+        let paths = [
+            "/",
+            "/metrics.md",
+            "/api/runs",
+            "/api/runs/0",
+            "/api/curves",
+            "/api/film/0/0/0",
+            "/metrics",
+        ];
         paths.iter().for_each(|path| drop(page.get(path)));
         // An iteration's provenance is written after its metrics.
         let iterations = metrics(&watched, "iteration").len();
@@ -183,8 +198,8 @@ fn idle_connections_and_continuous_requests_do_not_block_the_run_or_affect_its_w
 fn pages_reject_other_hosts_and_methods_and_may_not_load_external_content() {
     let runs = Runs::new();
     let (_learner, page) = learner(&runs.folder("run"));
-    page.answers(&[("POST /api/status HTTP/1.1", 405), ("GET /runs HTTP/1.1", 404)]);
-    assert_eq!(page.ask("GET /api/status HTTP/1.0\r\n\r\n").0, 403);
+    page.answers(&[("POST /api/runs HTTP/1.1", 405), ("GET /runs HTTP/1.1", 404)]);
+    assert_eq!(page.ask("GET /api/runs HTTP/1.0\r\n\r\n").0, 403);
     let (code, _, body) = page.ask("HEAD / HTTP/1.1\r\nHost: localhost\r\n\r\n");
     assert_eq!((code, body.as_str()), (200, ""));
     let (head, body) = page.root();
@@ -195,15 +210,14 @@ fn pages_reject_other_hosts_and_methods_and_may_not_load_external_content() {
     let place = runs.folder("place");
     write_run(&place.join("first"), 1.5);
     let (_process, several) = page_of_runs(&place, &["first"]);
-    several.answers(&[("POST /api/runs HTTP/1.1", 405), ("GET /api/status HTTP/1.1", 404)]);
+    several.answers(&[("POST /api/runs HTTP/1.1", 405), ("GET /metrics HTTP/1.1", 404)]);
     let (other_head, other_body) = several.root();
     let policy = |head: &str| {
         let mut lines = head.lines().map(str::to_owned);
         lines.find(|line| line.starts_with("content-security-policy")).unwrap()
     };
     assert_eq!(policy(&other_head), policy(&head));
-    assert!(other_body.contains("<html data-view=\"runs\" "));
-    assert_eq!(other_body.replace("data-view=\"runs\" ", ""), body);
+    assert_eq!(other_body, body);
 }
 
 #[test]
@@ -215,12 +229,11 @@ fn the_page_of_several_runs_has_all_their_curves_and_follows_those_that_grow() {
     std::fs::create_dir(folder.join("runs/notes")).unwrap();
     let (_process, page) = page_of_runs(&folder, &[]);
     let found = page.json("/api/curves");
-    let evaluation =
-        |run: usize, found: &Value| found["runs"][run]["curves"]["evaluation/mean"].clone();
+    let evaluation = |run: usize, found: &Value| found["curves"][run]["evaluation/mean"].clone();
     assert_eq!(evaluation(0, &found), json!([[40], [1.5]]));
     assert_eq!(evaluation(1, &found), json!([[40], [-2.0]]));
     let before = page.json("/api/runs");
-    assert_eq!(before["runs"], json!(["first", "second"]));
+    assert_eq!([0, 1].map(|run| before["runs"][run]["name"].clone()), ["first", "second"]);
     assert_eq!(before["version"], found["version"]);
     add_evaluation(&folder.join("runs/second"), 80, 3.0);
     eventually(|| {
@@ -251,7 +264,7 @@ fn runs_that_differ_only_in_their_seed_have_one_group_and_a_damaged_run_has_none
     std::fs::write(damaged.join("metrics.jsonl"), "{\"kind\":\"evaluati\n\0\0\n").unwrap();
     let (_process, page) = page_of_runs(&folder, &["a", "b", "c", "d"]);
     let of_runs = |key: &str| {
-        let found = page.json("/api/curves")["runs"].as_array().unwrap().clone();
+        let found = page.json("/api/runs")["runs"].as_array().unwrap().clone();
         found.iter().map(|run| run[key].clone()).collect::<Vec<_>>()
     };
     let groups = json!(["happo-s2mia", "happo-s2mia", "happo", null]);
@@ -264,9 +277,37 @@ fn runs_that_differ_only_in_their_seed_have_one_group_and_a_damaged_run_has_none
     // The damaged run grows again.
     add_evaluation(&damaged, 40, 3.0);
     eventually(|| {
-        let curve = page.json("/api/curves")["runs"][3]["curves"]["evaluation/mean"].clone();
+        let curve = page.json("/api/curves")["curves"][3]["evaluation/mean"].clone();
         if curve == json!([[40], [3.0]]) { Ok(()) } else { Err(curve.to_string()) }
     });
+}
+
+#[test]
+fn the_page_of_a_finished_run_plays_its_episodes_and_has_the_command_that_trains_it_again() {
+    let runs = Runs::new();
+    let (folder, again) = (runs.folder("run"), runs.folder("again"));
+    train(&folder, &["run.iterations=2", "--page=off"]);
+    let (_process, page) = page_of_runs(&folder, &["."]);
+    let run = page.json("/api/runs")["runs"][0].clone();
+    let mean = metrics(&folder, "evaluation").pop().unwrap()["mean"].clone();
+    assert_eq!(run["policies"].as_array().unwrap().last(), Some(&json!([2, mean])));
+    let of_eval = evaluated(text(&folder), &["--episodes", "2"]);
+    for index in [1, 0] {
+        let film = page.json(&format!("/api/film/0/2/{index}"));
+        assert_eq!(film["return"], of_eval["episodes"][index]["return"]);
+    }
+    for (path, reason) in
+        [("0/1/0", "no checkpoint of iteration 1"), ("1/2/0", "there is no run 1")]
+    {
+        let why = page.json(&format!("/api/film/{path}"))["error"].to_string();
+        assert!(why.contains(reason), "{why}");
+    }
+    let facts = page.json("/api/runs/0");
+    assert_eq!(facts["settings"], std::fs::read_to_string(folder.join("config.toml")).unwrap());
+    let words: Vec<_> = facts["command"].as_str().unwrap().split(' ').collect();
+    assert_eq!(words[..3], ["s2mia", "train", "halfcheetah-6x1"]);
+    success(command(&words[1..]).args(["--page=off", &format!("run.dir={}", again.display())]));
+    assert_eq!(weights(&again), weights(&folder));
 }
 
 #[test]
@@ -275,7 +316,7 @@ fn folders_that_are_no_runs_and_addresses_of_other_machines_are_refused_in_one_l
     let folder = runs.folder("place");
     write_run(&folder.join("first"), 1.5);
     for (arguments, reason) in [
-        (&["first", "missing"][..], "`missing` is no run folder"),
+        (&["first", "missing"][..], "there is no `missing`"),
         (&["first", "--listen", "0.0.0.0:0"], "--insecure-allow-remote-page"),
         (&[], "there is no run in ./runs"),
     ] {

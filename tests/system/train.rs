@@ -117,5 +117,8 @@ fn the_checkpoint_with_the_best_evaluation_stays_and_is_chosen_by_name() {
     let gone = refused(&["inspect", run, "--checkpoint", "3"]);
     assert!(gone.contains("has no checkpoint of iteration 3, only of "), "{gone}");
     let other = refused(&["eval", run, "--checkpoint", "newest"]);
-    assert!(other.contains("name last, best or an iteration"), "{other}");
+    assert!(
+        other.contains("`newest` is no checkpoint; name last, best, an iteration or"),
+        "{other}"
+    );
 }

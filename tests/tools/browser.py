@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 
-NAMES = ["chromium", "chromium-browser", "google-chrome"]
+NAMES = ["chromium", "chromium-browser", "google-chrome", "chromium-headless-shell"]
 PATIENCE_SECS = 60
 # How a test ends on a machine without a browser.
 MISSING = 3
@@ -33,6 +33,7 @@ class Tab:
         for domain in ("Runtime", "Log", "Page"):
             self.call(f"{domain}.enable")
         self.call("Page.navigate", url=url)
+        self.wait_until("location.href !== 'about:blank' && document.readyState === 'complete'")
 
     def call(self, method: str, **parameters) -> dict:
         """What the browser answers; what the page complains about in between is kept."""

@@ -35,11 +35,13 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         run_id: "hopper".to_owned(),
         folder: folder.to_path_buf(),
         config_toml: "task = \"hopper-2x1\"\n".to_owned(),
+        command: String::new(),
         config_sha256: Digest([1; 32]),
         build: "test".to_owned(),
         rollout_fingerprint: Digest([2; 32]),
         manifest: json!({"program": "test"}),
         resume: false,
+        start: None,
     }
 }
 

@@ -24,7 +24,7 @@ fn each(one: impl Fn(usize) -> float32x4_t) -> Four {
 impl Simd for Neon {
     type Vector = Four;
 
-    const TILE_ROWS: usize = 6;
+    const TILE_SUMS: usize = 6;
 
     #[inline(always)]
     fn splat(self, x: f32) -> Four {

@@ -43,7 +43,7 @@ fn each(one: impl Fn(usize) -> f32) -> [f32; LANES] {
 impl Simd for Scalar {
     type Vector = [f32; LANES];
 
-    const TILE_ROWS: usize = 2;
+    const TILE_SUMS: usize = 2;
 
     #[inline(always)]
     fn splat(self, x: f32) -> Self::Vector {

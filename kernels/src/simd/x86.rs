@@ -58,7 +58,7 @@ fn sum_of_eight(x: __m256) -> f32 {
 impl Simd for Avx2 {
     type Vector = [__m256; 2];
 
-    const TILE_ROWS: usize = 6;
+    const TILE_SUMS: usize = 6;
 
     #[inline(always)]
     fn splat(self, x: f32) -> Self::Vector {
@@ -163,7 +163,7 @@ impl Simd for Avx2 {
 impl Simd for Avx512 {
     type Vector = __m512;
 
-    const TILE_ROWS: usize = 12;
+    const TILE_SUMS: usize = 24;
 
     #[inline(always)]
     fn splat(self, x: f32) -> Self::Vector {

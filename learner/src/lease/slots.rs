@@ -45,7 +45,7 @@ use failures::Failures;
 pub use leases::ResultPart;
 use leases::{Claim, Finished, OpenLease};
 use open::OpenLeases;
-pub use outcome::{Counts, Effect, EvaluationOutcome, Footprint, Incident, Offer, SlotRollout};
+pub use outcome::{Counts, Effect, EvaluationOutcome, Incident, Offer, SlotRollout};
 pub use results::{Assignment, Preview};
 use typical::TypicalTimes;
 use works::{Group, Works};
@@ -180,13 +180,13 @@ impl SlotTable {
     /// Opens an evaluation beside other open work; its episodes are leased when no slot is free.
     pub fn open_evaluation(&mut self, iteration: u64, weights: WeightsName, episodes: u32) {
         let works = Works::episodes(iteration, weights, episodes);
-        self.works.insert(works.group(), works);
+        self.works.insert(works.group, works);
         self.effects.push(Effect::WorkFreed);
     }
 
     /// The weights that open work names.
     pub fn weights_in_use(&self) -> impl Iterator<Item = WeightsName> {
-        self.works.values().map(Works::weights).chain(self.audits.weights())
+        self.works.values().map(|works| works.weights).chain(self.audits.weights())
     }
 
     /// The run is over: every later request for work is answered so.

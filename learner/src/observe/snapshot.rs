@@ -11,6 +11,8 @@ use crate::observe::event::{Event, IterationReport, Stage, WrittenCheckpoint};
 
 /// Lines kept for watchers that are slow or connect late; the oldest is dropped.
 const KEPT_LINES: usize = 256;
+/// Films kept for the page; a film has at most 600 kB.
+const KEPT_FILMS: usize = 16;
 
 /// Results of all audits so far, of slots and of episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -64,8 +66,8 @@ pub struct RunSnapshot {
     pub environment_faults: u64,
     /// Updates that were skipped because returns were not finite.
     pub updates_skipped: u64,
-    /// The film of the newest policies.
-    pub film: Option<Arc<FilmedEpisode>>,
+    /// Films of the newest evaluations, in the order of their policies.
+    pub films: Vec<Arc<FilmedEpisode>>,
     lines: VecDeque<RunLine>,
 }
 
@@ -134,10 +136,13 @@ impl RunSnapshot {
         self.push(RunLine { evaluation: self.evaluation, end: Some(end), ..newest });
     }
 
-    /// Keeps the film of an accepted episode, unless newer policies have been filmed.
+    /// Keeps the film of an accepted episode, and of all films those of the newest policies.
     pub(crate) fn show_film(&mut self, filmed: FilmedEpisode) {
-        if self.film.as_ref().is_none_or(|shown| shown.version <= filmed.version) {
-            self.film = Some(Arc::new(filmed));
+        self.films.retain(|shown| shown.version != filmed.version);
+        let place = self.films.partition_point(|shown| shown.version < filmed.version);
+        self.films.insert(place, Arc::new(filmed));
+        if self.films.len() > KEPT_FILMS {
+            self.films.remove(0);
         }
     }
 

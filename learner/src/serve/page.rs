@@ -1,24 +1,26 @@
-//! The web page of a run, or of several: an HTTP server for browsers and Prometheus. Its requests are read-only and never
-//! delay a run.
+//! The web page of runs, of the one of this process or of those in folders: an HTTP server for browsers and Prometheus. Its
+//! requests are read-only and never delay a run.
 
 mod answers;
 mod exposition;
 mod hosts;
+mod live;
 mod server;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use security::ServerTls;
+use serde::Serialize;
 use serde_json::Value;
 use tokio::net::TcpListener;
 
-use crate::launch::Launch;
-use crate::lease::exchange::Exchange;
 use crate::observe::metrics::Curves;
+use crate::observe::snapshot::FilmedEpisode;
 
 pub use hosts::{Hosts, NotAHost};
-pub(crate) use server::serve;
-pub use server::serve_overlay;
+pub(crate) use live::{Facts, RunView};
+pub use server::serve;
+pub(crate) use server::serve_live;
 
 /// The listening socket of the page and the accepted host names.
 #[derive(Debug)]
@@ -31,9 +33,46 @@ pub struct Page {
     pub tls: Option<ServerTls>,
 }
 
-/// A run whose curves the page shows together with those of other runs.
+/// The runs that a page shows. The methods are called on blocking threads.
+pub trait Runs: Send + Sync {
+    /// The runs now.
+    fn look(&self) -> ShownRuns;
+
+    /// Constants of the run with this index.
+    ///
+    /// # Errors
+    /// Why they cannot be read.
+    fn facts(&self, run: usize) -> Result<RunFacts, String>;
+
+    /// The start of an episode of a run's policies after an iteration; `None` if it must be requested again, because
+    /// another one is being played.
+    ///
+    /// # Errors
+    /// Why it cannot be shown.
+    fn film(&self, run: usize, episode: EpisodeName) -> Result<Option<Arc<FilmedEpisode>>, String>;
+}
+
+/// An episode of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EpisodeName {
+    /// Iteration of the policies.
+    pub iteration: u64,
+    /// Its index in an evaluation of these policies.
+    pub index: u32,
+}
+
+/// All runs at one time.
 #[derive(Clone, Debug, Default)]
-pub struct OverlaidRun {
+pub struct ShownRuns {
+    /// Counts changes: with equal numbers, all curves are equal.
+    pub version: u64,
+    /// The runs, always in the same order.
+    pub runs: Vec<ShownRun>,
+}
+
+/// A run at one time.
+#[derive(Clone, Debug, Default)]
+pub struct ShownRun {
     /// Its name.
     pub name: String,
     /// Name of its group, which all runs have that differ from it only in their seed; `None` if its settings are unknown.
@@ -42,61 +81,25 @@ pub struct OverlaidRun {
     pub trouble: Option<String>,
     /// Its curves.
     pub curves: Arc<Curves>,
-}
-
-/// The curves of several runs that the page shows together.
-#[derive(Clone, Debug, Default)]
-pub struct Overlay {
-    /// Counts changes: with equal numbers, all runs are equal.
-    pub version: u64,
-    /// The runs, always in the same order.
-    pub runs: Vec<OverlaidRun>,
+    /// Stage, leases and so on, of the run of this process.
+    pub live: Option<Value>,
+    /// The policies of which episodes can be shown, in order: iteration, and return if they were evaluated.
+    pub policies: Vec<(u64, Option<f64>)>,
+    /// Number of episodes that can be shown of each.
+    pub episodes: u32,
 }
 
 /// Constants of a run.
-#[derive(Clone, Debug)]
-pub(crate) struct Facts {
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RunFacts {
     /// The manifest in the run folder.
-    manifest: Value,
+    pub manifest: Value,
+    /// All settings as TOML.
+    pub settings: String,
+    /// Command that begins a run with the same settings.
+    pub command: String,
     /// Iterations of the whole run.
-    iterations: u64,
+    pub iterations: u64,
     /// Environment steps of the whole run.
-    env_steps: u64,
-    /// Iterations from one checkpoint to the next.
-    checkpoint_every: u64,
-    /// Uses of each environment step in the optimiser steps of an agent.
-    sample_reuse: f64,
-    /// Iterations that were finished when this learner started.
-    resumed_at: u64,
-}
-
-impl Facts {
-    /// The constants of a run that starts or is resumed after the iteration `resumed_at`.
-    pub(crate) fn of(launch: &Launch, resumed_at: u64) -> Self {
-        let steps = launch.config.environments.steps_per_iteration();
-        Self {
-            manifest: launch.manifest(),
-            iterations: launch.iterations,
-            env_steps: launch.iterations.saturating_mul(steps),
-            checkpoint_every: launch.config.checkpoint.every,
-            sample_reuse: launch.training.sample_reuse(),
-            resumed_at,
-        }
-    }
-}
-
-/// Everything that the page shows.
-#[derive(Debug)]
-pub(crate) struct RunView {
-    pub(crate) facts: Facts,
-    pub(crate) exchange: Arc<Exchange>,
-    /// Locked for one lookup or one copy, so that the trainer, which adds to them, never waits for a response.
-    pub(crate) curves: Arc<Mutex<Curves>>,
-}
-
-impl RunView {
-    /// The curves. Clone them before any longer work.
-    fn curves(&self) -> MutexGuard<'_, Curves> {
-        self.curves.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    pub env_steps: u64,
 }

@@ -28,6 +28,8 @@ pub const PROVENANCE: &str = "provenance.jsonl";
 pub(crate) const TENSORBOARD: &str = "tensorboard";
 /// One line for each start of the learner: what `manifest.json` says of the first.
 pub const STARTS: &str = "starts.jsonl";
+/// The policies from which training began, if not from random ones.
+pub const START_POLICIES: &str = "start_policies.safetensors";
 const LOCK: &str = "learner.lock";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";

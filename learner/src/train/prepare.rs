@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use marl::{ObservationMoments, Surprise};
+use marl::Surprise;
 use proto::{Incarnation, RunDescription};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -11,7 +11,8 @@ use crate::launch::Launch;
 use crate::lease::sample::random_number;
 use crate::observe::metrics::Metrics;
 use crate::store::checkpoint::{self, CheckpointError, Loaded};
-use crate::store::run_folder::{RunFolder, RunFolderError, demand_config};
+use crate::store::durable;
+use crate::store::run_folder::{RunFolder, RunFolderError, START_POLICIES, demand_config};
 use crate::train::assemble::problem;
 use crate::train::environments::Environments;
 use crate::train::evaluation::Evaluations;
@@ -36,6 +37,9 @@ pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError
             path.display(),
             launch.iterations
         )));
+    }
+    if let Some(policies) = &launch.start {
+        durable::replace(&folder.file(START_POLICIES), policies)?;
     }
     folder.begin(&launch.config_toml, &launch.manifest())?;
     let description = launch.description(Incarnation(random_number()));
@@ -94,9 +98,7 @@ fn build(
 ) -> Result<Trainer, LearnerError> {
     let pool = pool(launch.config.learner.threads)?;
     let problem = problem(&launch.environment);
-    let algorithm =
-        pool.install(|| marl::build(&launch.training, &launch.policy, &problem, launch.seed))?;
-    let observations = ObservationMoments::new(launch.observations, &problem);
+    let (algorithm, observations) = pool.install(|| launch.first_state())?;
     let environments = &launch.config.environments;
     let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
     Ok(Trainer {

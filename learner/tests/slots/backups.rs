@@ -135,7 +135,7 @@ fn an_audit_of_a_disconnected_actor_is_leased_again_and_the_oldest_of_too_many_i
         let done = lease(&mut table, a);
         complete(&mut table, &done);
     }
-    assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 2), 8));
+    assert_eq!((table.counts().audits, table.counts().open_audits), (audits(0, 0, 2), 8));
     let lost = lease(&mut table, b);
     assert_eq!(slot(&lost), 2);
     table.disconnect(b.connection);
@@ -156,7 +156,7 @@ fn a_finished_run_answers_done_and_counts_its_open_audits_as_skipped() {
     let audit = lease(&mut table, b);
     table.finish();
     assert_eq!(a.ask(&mut table), Ok(Offer::Done));
-    assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 1), 0));
+    assert_eq!((table.counts().audits, table.counts().open_audits), (audits(0, 0, 1), 0));
     assert_eq!(push(&mut table, &audit, 0).unwrap_err().reason, Reason::UnknownLease);
 }
 
@@ -179,7 +179,7 @@ fn a_slot_is_audited_only_by_another_process() {
     let (a, same) = (actor_of(&mut table, 1, 1), actor_of(&mut table, 1, 2));
     let first = lease(&mut table, a);
     complete(&mut table, &first);
-    let counted = (table.footprint().open_audits, table.counts().audits);
+    let counted = (table.counts().open_audits, table.counts().audits);
     assert_eq!(counted, (0, audits(0, 0, 0)), "no other process is connected");
     let other = actor_of(&mut table, 2, 3);
     let second = lease(&mut table, a);
@@ -197,5 +197,5 @@ fn a_slot_that_no_other_process_may_audit_soon_counts_as_skipped() {
     table.tick(second(61));
     let first = lease(&mut table, a);
     complete(&mut table, &first);
-    assert_eq!((table.counts().audits, table.footprint().open_audits), (audits(0, 0, 1), 0));
+    assert_eq!((table.counts().audits, table.counts().open_audits), (audits(0, 0, 1), 0));
 }

@@ -104,7 +104,7 @@ impl Cluster {
         self.table.tick(self.now);
         self.take_effects();
         self.network.truncate(MOST_IN_FLIGHT);
-        self.check_footprint();
+        self.check_bounds();
     }
 
     fn send(&mut self, index: usize, message: Message) {
@@ -365,11 +365,11 @@ impl Cluster {
         }
     }
 
-    fn check_footprint(&self) {
-        let held = self.table.footprint();
+    fn check_bounds(&self) {
+        let held = self.table.counts();
         assert!(held.actors <= ACTORS, "{held:?}");
-        assert!(held.open_leases <= 2 * SLOTS as usize + 2 + 8, "{held:?}");
-        assert!(held.chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
+        assert!(held.leases <= 2 * SLOTS as usize + 2 + 8, "{held:?}");
+        assert!(held.held_chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
         assert!(held.open_audits <= 8 && held.earlier_results <= 9 * SLOTS as usize, "{held:?}");
         assert!(held.finished_leases <= 4096, "{held:?}");
     }

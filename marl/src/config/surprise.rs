@@ -21,6 +21,8 @@ pub enum DensityKind {
     DiagonalGaussian,
     /// An independent categorical distribution per feature, for features with few distinct values.
     Categorical,
+    /// An independent Gaussian per output of a fixed random network of the observation, as in E2M.
+    RandomEncoder,
     /// A variational autoencoder. Its training continues from iteration to iteration.
     Vae,
 }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use policy::PolicySnapshot;
+use policy::{ActorPolicy, PolicySnapshot};
 use rayon::prelude::*;
 
 use crate::data::batch::{Batch, Problem};
@@ -37,6 +37,29 @@ impl ObservationMoments {
             ObservationScale::Running => moments().collect(),
         };
         Self { agents }
+    }
+
+    /// Takes the statistics with which `start`, whose agents have these sizes, scales observations, before the first rows.
+    ///
+    /// # Errors
+    /// If only one side scales observations.
+    pub fn start_from(&mut self, start: &PolicySnapshot) -> Result<(), MarlError> {
+        let is_running = !self.agents.is_empty();
+        let scaled = |policy: &ActorPolicy| policy.standardisation().is_some();
+        if start.agents.iter().any(|policy| scaled(policy) != is_running) {
+            let [theirs, own] = match is_running {
+                true => ["no running statistics", "them"],
+                false => ["running statistics", "none"],
+            };
+            return Err(MarlError::Start(format!(
+                "the policies have {theirs} of observations, the run needs {own} (observation.norm)"
+            )));
+        }
+        let standardisations = start.agents.iter().filter_map(ActorPolicy::standardisation);
+        for (moments, standardisation) in self.agents.iter_mut().zip(standardisations) {
+            *moments = RunningMoments::of(standardisation);
+        }
+        Ok(())
     }
 
     /// `D_k` with scaled observations.
@@ -119,6 +142,24 @@ mod tests {
             assert_eq!(acted, output(&plain, &seen, index));
             assert_ne!(acted, output(&plain, &batch, index));
         }
+    }
+
+    #[test]
+    fn a_run_that_starts_from_policies_scales_as_they_do_and_refuses_those_that_scale_otherwise() {
+        let (config, policy, problem) = (sample::config(), sample::policy(), sample::problem());
+        let plain = crate::build(&config, &policy, &problem, RunSeed(0)).unwrap().snapshot();
+        let (plain, known) = (plain.unwrap(), known());
+        let trained = known.snapshot(plain.clone());
+        let of = |scale| ObservationMoments::new(scale, &problem);
+        let mut started = of(ObservationScale::Running);
+        started.start_from(&trained).unwrap();
+        let bytes = |policies: PolicySnapshot| policies.to_bytes().unwrap();
+        assert_eq!(bytes(started.snapshot(plain.clone())), bytes(trained.clone()));
+        let running = of(ObservationScale::Running).start_from(&plain).unwrap_err().to_string();
+        assert!(running.contains("have no running statistics"), "{running}");
+        let other = of(ObservationScale::AsShown).start_from(&trained).unwrap_err().to_string();
+        assert!(other.contains("the run needs none (observation.norm)"), "{other}");
+        of(ObservationScale::AsShown).start_from(&plain).unwrap();
     }
 
     #[test]

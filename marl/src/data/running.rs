@@ -9,11 +9,16 @@ use crate::state::{Visitor, visit_number, visit_numbers};
 /// A standard deviation of at most this, in units of the feature, counts as 0: rounding alone can cause it.
 const SMALLEST_DEVIATION: f64 = 1e-6;
 
+/// Number of rows for which given statistics count: a tenth of the steps of a default run, so that its own observations prevail
+/// in its course.
+const GIVEN_ROWS: f64 = 100_000.0;
+
 /// Moments of features, merged once per iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct RunningMoments {
     /// Number of rows.
     count: f64,
+    /// NaN for a feature of unknown value that never varied; the first rows then determine its moments.
     mean: Vec<f64>,
     /// Sums of squared deviations from the mean.
     squares: Vec<f64>,
@@ -23,6 +28,17 @@ impl RunningMoments {
     /// Moments of `features` features without rows.
     pub(crate) fn new(features: usize) -> Self {
         Self { count: 0.0, mean: vec![0.0; features], squares: vec![0.0; features] }
+    }
+
+    /// Moments of [`GIVEN_ROWS`] rows with this standardisation.
+    pub(crate) fn of(standardisation: &Standardisation) -> Self {
+        let one = |(&mean, &inverse): (&f32, &f32)| match (mean, f64::from(inverse)) {
+            (0.0, 1.0) => (f64::NAN, 0.0),
+            (mean, inverse) => (f64::from(mean), GIVEN_ROWS / (inverse * inverse)),
+        };
+        let features = standardisation.mean.iter().zip(&standardisation.inverse);
+        let (mean, squares) = features.map(one).unzip();
+        Self { count: GIVEN_ROWS, mean, squares }
     }
 
     /// Adds `rows` `[R, features]`. Chan's merge of `n_a` with `n_b` rows whose means differ by `d`:
@@ -39,6 +55,11 @@ impl RunningMoments {
             let column = || rows[feature..].iter().step_by(features).map(|&x| f64::from(x));
             let mean = column().sum::<f64>() / new;
             let squares = column().map(|x| (x - mean) * (x - mean)).sum::<f64>();
+            if self.mean[feature].is_nan() {
+                self.mean[feature] = mean;
+                self.squares[feature] = squares * self.count / new;
+                continue;
+            }
             let apart = mean - self.mean[feature];
             self.mean[feature] += apart * new / self.count;
             self.squares[feature] += squares + apart * apart * before * new / self.count;
@@ -86,6 +107,24 @@ mod tests {
         let merged = moments(&[&[1.0, 0.5, 3.0, 0.5], &[8.0, 0.5]]);
         assert_eq!((merged.count, merged.mean[0], merged.squares[0]), (3.0, 4.0, 26.0));
         assert_eq!(merged, moments(&[&[1.0, 0.5, 3.0, 0.5, 8.0, 0.5]]));
+    }
+
+    #[test]
+    fn given_statistics_count_for_many_rows_and_a_feature_without_any_takes_those_of_its_first_rows()
+     {
+        let given = Standardisation { mean: vec![0.1, 0.0], inverse: vec![0.3, 1.0] };
+        let mut moments = RunningMoments::of(&given);
+        assert_eq!(moments.standardisation(), given);
+        moments.take_in(&[0.1, 7.0, 0.1, 7.0]);
+        let after = moments.standardisation();
+        assert_eq!((after.mean[1], after.inverse[1]), (0.0, 1.0), "it did not vary");
+        assert!((after.mean[0] - 0.1).abs() < 1e-6 && (after.inverse[0] - 0.3).abs() < 1e-5);
+        let mut varying = RunningMoments::of(&given);
+        varying.take_in(&[0.1, 3.0, 0.1, 7.0]);
+        assert_eq!(
+            (varying.standardisation().mean[1], varying.standardisation().inverse[1]),
+            (5.0, 0.5)
+        );
     }
 
     #[test]

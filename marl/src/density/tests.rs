@@ -5,12 +5,17 @@ use policy::randomness::{Draw, Purpose, generator, standard_normal};
 use rand::RngCore;
 
 use super::*;
+use crate::density::random_encoder::OUTPUTS;
 use crate::distribution::gaussian::entropy;
 use crate::state::{restored, saved};
 use crate::surprise::entropy_bound;
 
-const KINDS: [DensityKind; 3] =
-    [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae];
+const KINDS: [DensityKind; 4] = [
+    DensityKind::DiagonalGaussian,
+    DensityKind::Categorical,
+    DensityKind::RandomEncoder,
+    DensityKind::Vae,
+];
 const ROWS: usize = 4000;
 
 fn at(iteration: u64) -> DensityContext {
@@ -151,7 +156,8 @@ fn constant_features_are_left_out_and_equal_rows_have_finite_scores() {
     for kind in KINDS {
         let mut masked = density(kind, 2);
         let found = fit(masked.as_mut(), &data, 2, 0);
-        assert_eq!(masked.features(), (1, 1));
+        let of_kind = if kind == DensityKind::RandomEncoder { (OUTPUTS, 0) } else { (1, 1) };
+        assert_eq!(masked.features(), of_kind, "{kind:?}");
         assert!(found.iter().all(|l| l.is_finite()), "{kind:?} {found:?}");
         let same = [0.5, -0.5].repeat(50);
         for rows in [&same[..], &same[..2]] {

@@ -183,7 +183,12 @@ fn one_step_suffices_for_every_density_and_an_update() {
     let mut batch = sample::batch_of(1, 1);
     batch.terminated[0] = true;
     let policy = PolicyConfig { backpropagation_steps: 1, ..sample::policy() };
-    for density in [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae] {
+    for density in [
+        DensityKind::DiagonalGaussian,
+        DensityKind::Categorical,
+        DensityKind::RandomEncoder,
+        DensityKind::Vae,
+    ] {
         let mut config = sample::config();
         config.surprise.density = density;
         let mut algorithm = build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap();

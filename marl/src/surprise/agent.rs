@@ -101,8 +101,12 @@ mod tests {
     use crate::density::build;
     use crate::distribution::gaussian::LOG_TWO_PI;
 
-    const KINDS: [DensityKind; 3] =
-        [DensityKind::DiagonalGaussian, DensityKind::Categorical, DensityKind::Vae];
+    const KINDS: [DensityKind; 4] = [
+        DensityKind::DiagonalGaussian,
+        DensityKind::Categorical,
+        DensityKind::RandomEncoder,
+        DensityKind::Vae,
+    ];
     const CONTEXT: DensityContext = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0 };
     const ROWS: [f32; 8] = [1.0, 0.0, 3.0, 1.0, 5.0, 0.0, 7.0, 1.0];
 
@@ -118,10 +122,15 @@ mod tests {
     #[test]
     fn scores_omit_the_constant_of_gaussians_and_nothing_of_a_categorical_density() {
         for kind in KINDS {
-            let omitted = if kind == DensityKind::Categorical { 0.0 } else { LOG_TWO_PI };
+            // Two features of the observation count, or the eight outputs of the encoder.
+            let omitted = match kind {
+                DensityKind::Categorical => 0.0,
+                DensityKind::RandomEncoder => 4.0 * LOG_TWO_PI,
+                DensityKind::DiagonalGaussian | DensityKind::Vae => LOG_TWO_PI,
+            };
             let (scores, log_prob) = scored(kind, &ROWS);
             for (score, log_prob) in scores.iter().zip(&log_prob) {
-                assert!((score - log_prob - omitted).abs() < 1e-12, "{kind:?}"); // two features count
+                assert!((score - log_prob - omitted).abs() < 1e-12, "{kind:?}");
             }
         }
     }

@@ -23,7 +23,7 @@ pub(super) fn describe(
     };
     let driven: Vec<Vec<&str>> = task.agents.iter().map(moved).collect();
     let observation = Observation::new(config, robot, &driven, &state);
-    let seen = |index: usize| match task.rules.disturbance().change_sensors() {
+    let seen = |index: usize| match task.rules.disturbance.change_sensors() {
         true => Vec::new(),
         false => observation.seen(index),
     };
@@ -54,12 +54,12 @@ fn global_state(task: &Task, config: &ObservationConfig) -> GlobalState {
     let rules = &task.rules;
     let mut features = rules.measured_features(&task.robot);
     let command = features.len();
-    features.extend(rules.command_features());
+    features.extend(rules.command.features());
     let mut shared: Vec<usize> = (command..features.len()).collect();
     features.extend(contact_features(&task.robot, config.contact_forces));
     let disturbances = features.len();
     features.extend(rules.disturbance_features());
-    let shows_disturbances = rules.audience() == Audience::Agents;
+    let shows_disturbances = rules.audience == Audience::Agents;
     let observed = if shows_disturbances { features.len() } else { disturbances };
     shared.extend(disturbances..observed);
     let related = rules.related(&task.robot);

@@ -7,16 +7,16 @@ use crate::task::{DrawnEpisode, Rules};
 /// The sensors of one environment.
 pub(super) struct Sensors {
     /// Measurement of the current state, `[M]`.
-    measured: Vec<f32>,
+    pub(super) measured: Vec<f32>,
     /// The global state with the measurement that the agents observe, `[S]`.
-    observed: Vec<f32>,
+    pub(super) observed: Vec<f32>,
 }
 
 impl Sensors {
     /// Sensors of a task; `None` if it does not disturb them.
     pub(super) fn of(rules: &Rules, robot: &Robot) -> Option<Self> {
         let measured = vec![0.0; rules.measured_features(robot).len()];
-        rules.disturbance().change_sensors().then_some(Self { measured, observed: Vec::new() })
+        rules.disturbance.change_sensors().then_some(Self { measured, observed: Vec::new() })
     }
 
     /// Measures the global state `seen` of the state `now`. At the start of an episode, all earlier measurements are the first
@@ -32,7 +32,7 @@ impl Sensors {
         self.measured.copy_from_slice(&seen[..count]);
         if let Some(draws) = &now.draws {
             let step = now.position.step;
-            rules.disturbance().measure(draws, step, &drawn.bias, &mut self.measured);
+            rules.disturbance.measure(draws, step, &drawn.bias, &mut self.measured);
         }
         let largest = LARGEST_MEASUREMENT;
         self.measured.iter_mut().for_each(|number| *number = number.clamp(-largest, largest));
@@ -48,15 +48,5 @@ impl Sensors {
             Some(back) => &now.measurements[back as usize * count..][..count],
         };
         self.observed[..count].copy_from_slice(shown);
-    }
-
-    /// The latest measurement, `[M]`.
-    pub(super) fn measured(&self) -> &[f32] {
-        &self.measured
-    }
-
-    /// The global state as the agents observe it, `[S]`.
-    pub(super) fn observed(&self) -> &[f32] {
-        &self.observed
     }
 }

@@ -28,10 +28,10 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules) -> Vec<String> {
 
 /// Says whose root is read if several robots have motors.
 fn unnamed(robot: &Robot, rules: &Rules) -> Option<String> {
-    let root = &robot.blueprint().links[robot.layout().root].name;
-    let is_ambiguous = robot.driven_trees().len() > 1 && !rules.of_root().is_empty();
+    let root = &robot.blueprint.links[robot.layout.root].name;
+    let is_ambiguous = robot.driven_trees().len() > 1 && !rules.of_root.is_empty();
     is_ambiguous.then(|| {
-        let readers = rules.of_root().join(", ");
+        let readers = rules.of_root.join(", ");
         format!(
             "several robots have motors: {readers} read that of `{root}`; name a body by `of`, or a `coordinate`"
         )
@@ -39,7 +39,7 @@ fn unnamed(robot: &Robot, rules: &Rules) -> Option<String> {
 }
 
 fn floor(robot: &Robot, world: &World) -> Option<String> {
-    let blueprint = robot.blueprint();
+    let blueprint = &robot.blueprint;
     let falls = |joint: &JointPlan| {
         matches!(joint, JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Planar(_))
     };
@@ -61,11 +61,11 @@ fn floor(robot: &Robot, world: &World) -> Option<String> {
 }
 
 fn limits(robot: &Robot, coordinates: &[f32]) -> Option<String> {
-    let hinges = robot.layout().hinges.iter().enumerate();
+    let hinges = robot.layout.hinges.iter().enumerate();
     let outside: Vec<(f32, String)> = hinges
         .filter_map(|(index, hinge)| {
             let [low, high] = hinge.plan.range?;
-            let at = coordinates[robot.layout().hinge_coordinate(index)];
+            let at = coordinates[robot.layout.hinge_coordinate(index)];
             let excess = (low - at).max(at - high);
             let [unit, _] = hinge.units();
             (excess > SMALLEST_EXCESS)

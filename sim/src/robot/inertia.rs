@@ -7,6 +7,8 @@ use rapier3d::glamx::Mat3;
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::{MassProperties, SharedShape};
 
+use super::frame::{product, vector};
+
 /// A matrix by rows.
 pub(super) type Matrix = [[f64; 3]; 3];
 
@@ -129,7 +131,7 @@ impl Solid {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MassSum {
     /// kg.
-    mass: f64,
+    pub(super) mass: f64,
     /// kg m.
     moments: [f64; 3],
     /// kg m^2.
@@ -149,11 +151,6 @@ impl MassSum {
             }
         }
         self.mass += mass;
-    }
-
-    /// Mass, kg.
-    pub(super) fn mass(&self) -> f64 {
-        self.mass
     }
 
     /// The sum as one part; without a mass, nothing.
@@ -191,10 +188,6 @@ impl MassSum {
 
 fn numbers(rotation: Rotation) -> [f64; 4] {
     rotation.to_array().map(f64::from)
-}
-
-fn vector(numbers: [f64; 3]) -> Vector {
-    Vector::from_array(numbers.map(|number| number as f32))
 }
 
 /// Rotation matrix of a unit quaternion.
@@ -252,18 +245,13 @@ fn rotate(inertia: &mut Matrix, [p, q]: [usize; 2], [cos, sin]: [f64; 2]) {
 }
 
 /// The quaternion (x y z w) followed by a rotation about its own `axis`.
-fn turned([x, y, z, w]: [f64; 4], axis: usize, [cos, sin]: [f64; 2]) -> [f64; 4] {
+fn turned(frame: [f64; 4], axis: usize, [cos, sin]: [f64; 2]) -> [f64; 4] {
     let half_cos = ((1.0 + cos) / 2.0).sqrt();
     let half_sin = sin / (2.0 * half_cos);
     let mut turn = [0.0; 3];
     turn[axis] = half_sin;
     let [a, b, c] = turn;
-    [
-        w * a + x * half_cos + y * c - z * b,
-        w * b - x * c + y * half_cos + z * a,
-        w * c + x * b - y * a + z * half_cos,
-        w * half_cos - x * a - y * b - z * c,
-    ]
+    product(frame, [a, b, c, half_cos])
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use rapier3d::math::{Pose, Vector};
 
 use super::Robot;
 use super::blueprint::{JointPlan, LinkPlan, Motion};
-use super::frame::about;
+use super::frame::{about, wide};
 use super::layout::JointMap;
 
 /// A body or a fixed point, with the joints between the world and it.
@@ -204,8 +204,4 @@ impl PlacedJoint {
 
 fn turn(axis: DVec3, angle: f64) -> DQuat {
     DQuat::from_array(about(axis.to_array(), angle))
-}
-
-fn wide(vector: Vector) -> DVec3 {
-    DVec3::from_array(vector.to_array().map(f64::from))
 }

@@ -105,7 +105,7 @@ mod tests {
     #[test]
     fn levels_follow_the_graph_without_repeated_joints() {
         let ant = Robot::of_task("ant-4x2").unwrap();
-        let ant = ant.neighbourhood();
+        let ant = &ant.neighbourhood;
         let levels = ant.levels(&["hip_4", "ankle_4"], 2);
         let names: Vec<Vec<&str>> =
             levels.iter().map(|level| level.iter().copied().collect()).collect();

@@ -11,7 +11,7 @@ pub(super) fn control_ranges(
     rules: &Rules,
     robot: &Robot,
 ) -> Result<Vec<[f32; 2]>, SimError> {
-    let motors = &robot.blueprint().motors;
+    let motors = &robot.blueprint.motors;
     if let Some(scale) = row.scale {
         within("actions.scale", scale, 1e-6, 1e6)?;
     }
@@ -24,9 +24,9 @@ pub(super) fn control_ranges(
     let pose = rules.start_pose(robot).0;
     let range = |(index, motor): (usize, &MotorPlan)| {
         let [low, high] = motor.range;
-        let at = |hinge| robot.layout().hinge_position(hinge, &pose);
+        let at = |hinge| robot.layout.hinge_position(hinge, &pose);
         let held = held_control(motor, motor.moved.sum(at));
-        let stated = rules.start_control(index);
+        let stated = rules.start.controls.get(index).copied();
         let middle = stated.or(held).unwrap_or(low / 2.0 + high / 2.0).clamp(low, high);
         let half = row.scale.filter(|_| held.is_some()).unwrap_or(high / 2.0 - low / 2.0);
         [middle - half, middle + half]

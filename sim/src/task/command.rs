@@ -78,8 +78,8 @@ impl Follower {
     ) -> Result<Self, SimError> {
         let body = |name| Names::new("body", robot.bodies()).index(&format!("{place}.of"), name);
         let body = of.map(body).transpose()?;
-        let tree = body.map_or(Some(robot.layout().root), |body| robot.tree_of_body(body));
-        let root = tree.map(|link| robot.layout().joints[link]);
+        let tree = body.map_or(Some(robot.layout.root), |body| robot.tree_of_body(body));
+        let root = tree.map(|link| robot.layout.joints[link]);
         let follower = match root {
             Some(JointMap {
                 kind: MapKind::Free | MapKind::Floating,
@@ -148,7 +148,7 @@ impl CommandRanges {
     }
 
     /// Features of the target.
-    pub(super) fn features(&self) -> Vec<FeatureSpec> {
+    pub(crate) fn features(&self) -> Vec<FeatureSpec> {
         let feature = |heading: Heading| FeatureSpec {
             name: format!("command.{}", heading.word()),
             role: FeatureRole::Signal,
@@ -157,7 +157,7 @@ impl CommandRanges {
     }
 
     /// What is drawn, one line each.
-    pub(super) fn lines(&self) -> Vec<String> {
+    pub(crate) fn lines(&self) -> Vec<String> {
         let line = |(heading, [low, high]): &(Heading, [f32; 2])| {
             let unit = if *heading == Heading::Yaw { "rad/s" } else { "m/s" };
             format!("command {}: {low} to {high} {unit}, in each episode", heading.word())

@@ -31,7 +31,7 @@ const MOST_ROWS: usize = 100;
 /// The disturbances of a task, with names resolved to indices.
 #[derive(Clone, Debug)]
 pub(crate) struct DisturbanceRanges {
-    row: DisturbanceRow,
+    pub(crate) row: DisturbanceRow,
     pushes: Vec<Push>,
     /// Links of the payloads.
     loaded: Vec<usize>,
@@ -81,7 +81,7 @@ impl DisturbanceRanges {
                 .collect::<Result<_, _>>()?,
             loaded,
             raised: raised(row, robot)?,
-            gravity: (robot.blueprint().gravity, push::horizontal(robot)),
+            gravity: (robot.blueprint.gravity, push::horizontal(robot)),
             motors: robot.actuators().map(|motor| motor.name.to_owned()).collect(),
             hinges: robot.hinges().map(|(name, _)| name.to_owned()).collect(),
             measured: (names, coordinates),
@@ -91,11 +91,6 @@ impl DisturbanceRanges {
     /// Whether the task states a disturbance.
     pub(crate) fn are_stated(&self) -> bool {
         !self.row.lines().is_empty()
-    }
-
-    /// Whether the evaluations of a training are disturbed.
-    pub(crate) fn are_in_evaluations(&self) -> bool {
-        self.row.in_evaluations
     }
 
     /// Longest delays of actions and observations, steps.
@@ -215,11 +210,6 @@ impl DisturbanceRanges {
         });
     }
 
-    /// What the task states, one line each.
-    pub(super) fn lines(&self) -> Vec<String> {
-        self.row.lines()
-    }
-
     /// Calls `each` with name and value of everything that the task states; values that are not drawn yet are 0.
     fn describe(&self, drawn: &DrawnEpisode, mut each: impl FnMut(&dyn Fn() -> String, f32)) {
         let (row, conditions) = (&self.row, &drawn.conditions);
@@ -268,7 +258,7 @@ impl DisturbanceRanges {
 
 /// Fixed shapes of the bodies that the terrain names, each with its row.
 fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, SimError> {
-    let blueprint = robot.blueprint();
+    let blueprint = &robot.blueprint;
     let solid = |ground: &&GroundPlan| matches!(ground.form, GroundForm::Solid(_));
     let grounds = || blueprint.grounds.iter().enumerate();
     let bodies =
@@ -302,7 +292,7 @@ fn links<'a>(
 ) -> Result<Vec<usize>, SimError> {
     let place = format!("disturbance.{key}");
     check_rows(&place, names.len())?;
-    let plans = &robot.blueprint().links;
+    let plans = &robot.blueprint.links;
     let can_move =
         |link: &&LinkPlan| link.mass.mass() > 0.0 && !matches!(link.joint, JointPlan::Fixed);
     let known: Vec<String> = plans.iter().filter(can_move).map(|link| link.name.clone()).collect();

@@ -1,7 +1,6 @@
 //! Reward, end and global state of an episode, as a task file defines them for its robot.
 
 use proto::{FeatureRole, FeatureSpec};
-use rand::RngCore;
 use rapier3d::math::Vector;
 
 use super::Motion;
@@ -33,7 +32,7 @@ enum Watched {
 /// Rules of an episode, with all names resolved to indices.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
-    start: Start,
+    pub(crate) start: Start,
     reward: WeightedSum,
     cost: WeightedSum,
     healthy: Vec<(Watched, HealthyRow)>,
@@ -45,15 +44,16 @@ pub(crate) struct Rules {
     largest_velocity: Option<f32>,
     /// First components of velocities of free joints that are expressed in the axes of their bodies, and the rotations.
     velocities_in_body: Vec<(usize, Orientation)>,
-    contact_forces: bool,
-    command: CommandRanges,
-    disturbance: DisturbanceRanges,
+    /// Whether contact forces can be observed.
+    pub(crate) contact_forces: bool,
+    pub(crate) command: CommandRanges,
+    pub(crate) disturbance: DisturbanceRanges,
     /// Who observes the disturbances.
-    audience: Audience,
+    pub(crate) audience: Audience,
     /// Number of features that describe the disturbances.
     described: usize,
     /// What reads the root, since it names no body or coordinate.
-    of_root: Vec<String>,
+    pub(crate) of_root: Vec<String>,
 }
 
 impl Rules {
@@ -77,7 +77,7 @@ impl Rules {
             relations,
             measured: [positions, features.len() - positions],
             largest_velocity: file.state.largest_velocity,
-            velocities_in_body: file.state.velocities_in_body(&robot.layout().orientations)?,
+            velocities_in_body: file.state.velocities_in_body(&robot.layout.orientations)?,
             contact_forces: file.state.contact_forces,
             command,
             described: match file.state.disturbances {
@@ -102,26 +102,6 @@ impl Rules {
         (coordinates, velocities)
     }
 
-    /// The control of a motor in the keyframe of the start, if it has controls.
-    pub(super) fn start_control(&self, motor: usize) -> Option<f32> {
-        self.start.control(motor)
-    }
-
-    /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start.
-    pub(crate) fn randomise(
-        &self,
-        rng: &mut impl RngCore,
-        coordinates: &mut [f32],
-        velocities: &mut [f32],
-    ) {
-        self.start.randomise(rng, coordinates, velocities);
-    }
-
-    /// Sets activations `[m]` to those of a keyframe that the episode starts from.
-    pub(crate) fn start_activations(&self, activations: &mut [f32]) {
-        self.start.set_activations(activations);
-    }
-
     /// Reward of a step: the sum of the rewards minus the sum of the costs.
     pub(crate) fn reward(&self, step: &Transition<'_>) -> f32 {
         self.reward.value(step) - self.cost.value(step)
@@ -138,16 +118,6 @@ impl Rules {
         !self.healthy.iter().all(|(watched, row)| row.holds(value(watched)))
     }
 
-    /// Whether contact forces can be observed.
-    pub(crate) fn feels_contacts(&self) -> bool {
-        self.contact_forces
-    }
-
-    /// What reads the root, since it names no body or coordinate.
-    pub(crate) fn of_root(&self) -> &[String] {
-        &self.of_root
-    }
-
     /// Whether the reward depends on the actions of the step before.
     pub(crate) fn reads_last_action(&self) -> bool {
         self.reward.reads_last_action() || self.cost.reads_last_action()
@@ -159,24 +129,9 @@ impl Rules {
         if is_read { world.centre_of_mass()[0] } else { 0.0 }
     }
 
-    /// The disturbances that the task states.
-    pub(crate) fn disturbance(&self) -> &DisturbanceRanges {
-        &self.disturbance
-    }
-
-    /// Who observes the disturbances.
-    pub(crate) fn audience(&self) -> Audience {
-        self.audience
-    }
-
     /// Whether an episode draws anything besides its start.
     pub(crate) fn has_draws(&self) -> bool {
         !self.command.is_empty() || self.disturbance.are_stated()
-    }
-
-    /// What an episode draws besides its start, one line each.
-    pub(crate) fn drawn_lines(&self) -> Vec<String> {
-        [self.command.lines(), self.disturbance.lines()].concat()
     }
 
     /// Draws the command and the disturbances of an episode.
@@ -196,11 +151,6 @@ impl Rules {
         let moving = self.measured[0] + robot.velocity_names().len();
         let places = (self.shown.len()..).zip(positions).chain((moving..).zip(velocities));
         places.map(|(place, feature)| (place, feature.observer)).collect()
-    }
-
-    /// Features of the command, which follow the measured ones, `[C]`.
-    pub(crate) fn command_features(&self) -> Vec<FeatureSpec> {
-        self.command.features()
     }
 
     /// Features of the disturbances, the last ones of the global state; empty if nobody observes them.

@@ -75,13 +75,13 @@ impl fmt::Display for Noise {
 
 /// The start of an episode, with names resolved to indices.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Start {
+pub(crate) struct Start {
     /// Coordinates that differ from the rest pose.
     coordinates: Vec<(usize, f32)>,
     /// Velocities that are not 0.
     speeds: Vec<(usize, f32)>,
     /// Controls of a keyframe, in the order of the model's actuators; empty without any.
-    controls: Vec<f32>,
+    pub(super) controls: Vec<f32>,
     /// Activations of a keyframe; empty without any.
     activations: Vec<f32>,
     /// First coordinate of each unit quaternion.
@@ -158,19 +158,14 @@ impl Start {
         self.speeds.iter().for_each(|(index, value)| velocities[*index] = *value);
     }
 
-    /// The control of a motor in the keyframe, if it has controls.
-    pub(super) fn control(&self, motor: usize) -> Option<f32> {
-        self.controls.get(motor).copied()
-    }
-
     /// Sets activations `[m]` to those of the keyframe, if it has any.
-    pub(super) fn set_activations(&self, activations: &mut [f32]) {
+    pub(crate) fn set_activations(&self, activations: &mut [f32]) {
         activations.iter_mut().zip(&self.activations).for_each(|(to, stated)| *to = *stated);
     }
 
     /// Turns a rest pose `[nq]` with zero velocities `[nv]` into a start: sets the stated coordinates and adds noise.
     /// Quaternions are normalised.
-    pub(super) fn randomise(
+    pub(crate) fn randomise(
         &self,
         rng: &mut impl RngCore,
         coordinates: &mut [f32],
@@ -197,11 +192,11 @@ impl Start {
 
 /// The start that a keyframe of the model states.
 fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
-    let keyframes = &robot.blueprint().keyframes;
+    let keyframes = &robot.blueprint.keyframes;
     let known: Vec<String> = keyframes.iter().map(|keyframe| keyframe.name.clone()).collect();
     let index = Names::new("keyframe", &known).index("start.keyframe", name)?;
     let Keyframe { positions, velocities, controls, activations, .. } = &keyframes[index];
-    let motors = robot.blueprint().motors.len();
+    let motors = robot.blueprint.motors.len();
     for (key, list, count) in [
         ("qpos", positions, robot.rest().len()),
         ("qvel", velocities, robot.velocity_names().len()),
@@ -218,7 +213,7 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     let mut speeds = single(velocities);
     let mut positions = positions.clone();
     if !positions.is_empty() {
-        for orientation in &robot.layout().orientations {
+        for orientation in &robot.layout.orientations {
             let quaternion = &mut positions[orientation.coordinate..][..4];
             let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
             if length > 0.0 {
@@ -228,7 +223,7 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     }
     let pose = if positions.is_empty() { robot.rest().to_vec() } else { single(&positions) };
     // MuJoCo has the angular velocity of a free joint in the axes of its body.
-    for orientation in robot.layout().orientations.iter().filter(|_| !velocities.is_empty()) {
+    for orientation in robot.layout.orientations.iter().filter(|_| !velocities.is_empty()) {
         let turning = &mut speeds[orientation.velocity..][..3];
         let rotation = orientation.rotation(&pose);
         turning.copy_from_slice(&(rotation * Vector::from_slice(turning)).to_array());

@@ -250,7 +250,7 @@ fn term(
     let coordinate = row.coordinate.as_ref().map(|name| names.index(place, name)).transpose()?;
     Ok(match row.term {
         TermName::ForwardSpeed => Term::ForwardSpeed {
-            coordinate: coordinate.unwrap_or(robot.layout().root_joint().coordinate),
+            coordinate: coordinate.unwrap_or(robot.layout.root_joint().coordinate),
         },
         TermName::Alive => Term::Alive,
         TermName::Control => Term::Control,
@@ -327,7 +327,7 @@ impl Tilt {
         if let Some(name) = of {
             return Names::body(robot, &format!("{place}.of"), name).map(Self::Body);
         }
-        let root = robot.layout().root_joint();
+        let root = robot.layout.root_joint();
         match root.kind {
             MapKind::Free | MapKind::Floating => Ok(Self::Free(root.coordinate + 3)),
             MapKind::Planar => Ok(Self::Planar(root.coordinate + 2)),

@@ -11,9 +11,9 @@ mod starts;
 
 use super::*;
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
+use crate::environment_batch::environments;
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::robot::{JointPlan, Law, Reference, Softness};
-use crate::simulation::environments;
 
 const HOPPER: &str = include_str!("../../assets/hopper.toml");
 
@@ -192,8 +192,8 @@ fn a_motor_of_gear_80_and_one_of_gear_1_with_80_times_the_control_range_are_the_
 fn the_controls_of_all_robots_can_be_explored_and_those_of_the_published_runs_are_actions() {
     for &task in task_names().iter().filter(|name| !game::NAMES.contains(*name)) {
         let robot = Robot::of_task(task).unwrap();
-        let is_action = robot.blueprint().motors.iter().all(|motor| motor.range == [-1.0, 1.0]);
-        assert_eq!(is_action, robot.blueprint().law != Law::Constraints, "{task}");
+        let is_action = robot.blueprint.motors.iter().all(|motor| motor.range == [-1.0, 1.0]);
+        assert_eq!(is_action, robot.blueprint.law != Law::Constraints, "{task}");
         assert_eq!(robot.hard_to_explore(), [""; 0], "{task}");
     }
 }
@@ -247,7 +247,7 @@ fn physics(lines: &str) -> String {
         .replace("<joint axis", &format!("<joint {joint} axis"));
     let file = TaskFile::parse(&format!("{HOPPER}\n[physics]\n{lines}")).unwrap();
     let robot = Robot::build(file.robot_row(model)).unwrap();
-    let blueprint = robot.blueprint();
+    let blueprint = &robot.blueprint;
     let contact = blueprint.shapes().find_map(|shape| blueprint.floor_contact(shape)).unwrap();
     let limit = blueprint.links.iter().find_map(|link| match &link.joint {
         JointPlan::Hinge(hinge) => Some(hinge.limit),

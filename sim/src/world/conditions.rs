@@ -33,7 +33,7 @@ impl World {
     /// same is not touched: after access to a body the engine's results differ in their last bits.
     pub(crate) fn push(&mut self, forces: &[(usize, Vector)]) {
         for (link, force) in forces {
-            let handle = self.robot.layout().joints[*link].body;
+            let handle = self.robot.layout.joints[*link].body;
             if self.physics.bodies[handle].user_force() != *force {
                 let body = &mut self.physics.bodies[handle];
                 body.reset_forces(true);
@@ -45,8 +45,8 @@ impl World {
     /// Changes the copy of the template. The engine sums masses of bodies and colliders; those of colliders are 0.
     pub(super) fn apply_conditions(&mut self) {
         let Some(conditions) = &self.conditions else { return };
-        self.physics.gravity = conditions.gravity.unwrap_or(self.robot.blueprint().gravity);
-        let moving = self.robot.blueprint().shapes().count();
+        self.physics.gravity = conditions.gravity.unwrap_or(self.robot.blueprint.gravity);
+        let moving = self.robot.blueprint.shapes().count();
         for (_, collider) in self.physics.colliders.iter_mut() {
             let fixed = shape_of(collider).checked_sub(moving);
             let rise = conditions.rises.iter().find(|(ground, _)| Some(*ground) == fixed);
@@ -63,9 +63,9 @@ impl World {
             }
         }
         for (link, added) in conditions.payloads.iter().filter(|(_, added)| *added > 0.0) {
-            let mut mass = self.robot.blueprint().links[*link].mass;
+            let mut mass = self.robot.blueprint.links[*link].mass;
             mass.inv_mass = 1.0 / (mass.mass() + added);
-            let body = &mut self.physics.bodies[self.robot.layout().joints[*link].body];
+            let body = &mut self.physics.bodies[self.robot.layout.joints[*link].body];
             body.set_additional_mass_properties(mass, true);
             body.recompute_mass_properties_from_colliders(&self.physics.colliders);
         }

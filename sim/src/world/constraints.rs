@@ -54,7 +54,7 @@ impl Constraints {
     /// Constraints of a robot at rest, for physics steps of `step_secs`.
     pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
         Self {
-            integration: robot.blueprint().integration,
+            integration: robot.blueprint.integration,
             step_secs: f64::from(step_secs),
             touching: Touching::new(robot),
             start: Motion::default(),
@@ -100,7 +100,7 @@ impl Constraints {
 
     /// Computes the accelerations, with MuJoCo's implicit damping unless the integrator is that of Runge and Kutta.
     fn accelerate(&mut self, robot: &Robot, drives: &HingeDrives, physics: &mut PhysicsWorld) {
-        let layout = robot.layout();
+        let layout = &robot.layout;
         let multibody = physics.multibody_joints.get_multibody(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
         self.start.read(robot, multibody, physics);
@@ -139,7 +139,7 @@ impl Constraints {
 
     /// Adds all constraints.
     fn constrain(&mut self, robot: &Robot, physics: &PhysicsWorld) {
-        let layout = robot.layout();
+        let layout = &robot.layout;
         for (hinge, position) in layout.hinges.iter().zip(&self.start.hinges) {
             add_limit(&mut self.problem, &self.start.speeds, hinge, *position);
             add_dry_friction(&mut self.problem, &self.start.speeds, hinge);
@@ -158,7 +158,7 @@ impl Constraints {
         for free in &layout.free_frictions {
             add_free_friction(&mut self.problem, &self.start, free);
         }
-        self.touching.add(robot.blueprint(), physics, &self.start, &mut self.problem);
+        self.touching.add(&robot.blueprint, physics, &self.start, &mut self.problem);
     }
 
     /// Moves the robot from `start` for a step with the velocities `moving`, and sets its velocities. Returns whether they
@@ -170,7 +170,7 @@ impl Constraints {
         start: &Motion,
         [moving, speeds]: [&[f64]; 2],
     ) -> bool {
-        let layout = robot.layout();
+        let layout = &robot.layout;
         let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
         let write = |multibody: &mut Multibody, speeds: &[f64]| {
@@ -181,7 +181,7 @@ impl Constraints {
         if !write(multibody, moving) {
             return false;
         }
-        let joints = layout.joints.iter().zip(&robot.blueprint().links);
+        let joints = layout.joints.iter().zip(&robot.blueprint.links);
         for (joint, start) in joints.zip(&start.links) {
             move_joint(multibody, joint, start, self.step_secs as f32);
         }

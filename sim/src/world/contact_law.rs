@@ -61,7 +61,7 @@ struct Touch {
 impl ContactLaw {
     /// Creates the contact law of a robot for physics steps of `step_secs` and an engine with this compliance.
     pub(crate) fn new(robot: &Robot, compliance: f32, step_secs: f32) -> Self {
-        let blueprint = robot.blueprint();
+        let blueprint = &robot.blueprint;
         let law =
             |softness: Softness| (softness, softness.spring(blueprint.integration, step_secs));
         Self {
@@ -71,17 +71,17 @@ impl ContactLaw {
                 .collect(),
             step_secs,
             solved_compliance: compliance,
-            motions: Vec::with_capacity(robot.layout().joints.len()),
+            motions: Vec::with_capacity(robot.layout.joints.len()),
         }
     }
 
     /// Reads the links' motion from the joints, because the rigid bodies' velocities are one step old.
     pub(crate) fn observe(&mut self, robot: &Robot, multibody: &Multibody) {
-        let Layout { joints, inverse_masses, .. } = robot.layout();
+        let Layout { joints, inverse_masses, .. } = &robot.layout;
         let speeds = multibody.generalized_velocity();
         self.motions.clear();
         for ((plan, joint), inverse_mass) in
-            robot.blueprint().links.iter().zip(joints).zip(inverse_masses)
+            robot.blueprint.links.iter().zip(joints).zip(inverse_masses)
         {
             let twist = multibody.body_jacobian(joint.link) * speeds;
             let link = multibody.link(joint.link).expect("the layout is this robot's");

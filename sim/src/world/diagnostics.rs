@@ -29,7 +29,7 @@ impl World {
     /// Height above a plane of the lowest point that can touch it, m; negative for penetration. `None` if nothing can
     /// touch a plane.
     pub(crate) fn lowest_contact(&self) -> Option<f32> {
-        let grounds = self.robot.blueprint().grounds.iter();
+        let grounds = self.robot.blueprint.grounds.iter();
         let planes = grounds.filter(|ground| matches!(ground.form, GroundForm::Plane));
         let heights = planes.filter_map(|plane| {
             self.lowest(plane.pose, |shape| {
@@ -41,7 +41,7 @@ impl World {
 
     /// Height of the lowest point of some shapes above the plane z = 0 of a frame, m.
     fn lowest(&self, plane: Pose, counts: impl Fn(&ShapePlan) -> bool + Copy) -> Option<f32> {
-        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         let heights = links.flat_map(|(plan, joint)| {
             let frame = plane.inverse() * self.frame(joint);
             plan.shapes.iter().filter(move |shape| counts(shape)).map(move |shape| {
@@ -64,7 +64,7 @@ impl World {
     /// torque of one also depends on the robot's motion.
     pub fn torque(&self, joint: &str) -> Option<f32> {
         let joint = self.robot.hinges().position(|(name, _)| name == joint)?;
-        let motors = self.robot.blueprint().motors.iter().enumerate();
+        let motors = self.robot.blueprint.motors.iter().enumerate();
         let torques = motors.filter_map(|(index, motor)| {
             let mut moved = motor.moved.0.iter();
             let (_, factor) = moved.find(|(hinge, _)| *hinge == joint)?;
@@ -87,7 +87,7 @@ impl World {
         let speeds = multibody.generalized_velocity();
         let armature = multibody.armature().iter().zip(speeds.iter());
         let rotors: f64 = armature.map(|(a, v)| 0.5 * f64::from(a * v * v)).sum();
-        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         let links = links.map(|(plan, joint)| {
             let twist = multibody.body_jacobian(joint.link) * speeds;
             let linear = Vector::new(twist[0], twist[1], twist[2]);
@@ -101,13 +101,13 @@ impl World {
     }
 
     fn potential_energy(&self) -> f64 {
-        let gravity = self.robot.blueprint().gravity;
+        let gravity = self.robot.blueprint.gravity;
         let weight = self.mass_centres().map(|(link, centre)| {
             f64::from(-link.gravity_scale * link.mass.mass() * gravity.dot(centre))
         });
         let mut coordinates = vec![0.0; self.robot.coordinate_names().len()];
         self.coordinates(&mut coordinates);
-        let layout = self.robot.layout();
+        let layout = &self.robot.layout;
         let position = |hinge: usize| layout.hinge_position(hinge, &coordinates);
         let energy = |stiffness: f32, stretch: f32| f64::from(0.5 * stiffness * stretch * stretch);
         let joints = layout.hinges.iter().enumerate().map(|(index, hinge)| {
@@ -115,7 +115,7 @@ impl World {
         });
         let tendons = self
             .robot
-            .blueprint()
+            .blueprint
             .tendons
             .iter()
             .map(|tendon| energy(tendon.stiffness, tendon.stretch(tendon.moved.sum(position))));
@@ -123,7 +123,7 @@ impl World {
     }
 
     fn mass_centres(&self) -> impl Iterator<Item = (&LinkPlan, Vector)> {
-        let links = self.robot.blueprint().links.iter().zip(&self.robot.layout().joints);
+        let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         links.map(|(plan, joint)| (plan, self.frame(joint) * plan.mass.local_com))
     }
 }

@@ -117,11 +117,11 @@ impl HingeDrives {
 
     /// Sets the torques of the motors and the dampings of the hinges to these multiples of the model's.
     pub(crate) fn vary(&mut self, robot: &Robot, strengths: &[f32], dampings: &[f32]) {
-        let plans = &robot.blueprint().motors;
+        let plans = &robot.blueprint.motors;
         for ((motor, plan), strength) in self.motors.iter_mut().zip(plans).zip(strengths) {
             motor.plan = plan.strengthened(*strength);
         }
-        let hinges = &robot.layout().hinges;
+        let hinges = &robot.layout.hinges;
         for ((damping, hinge), factor) in self.dampings.iter_mut().zip(hinges).zip(dampings) {
             *damping = factor * hinge.plan.damping;
         }

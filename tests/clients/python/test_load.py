@@ -233,8 +233,8 @@ def refused(path) -> str:
 
 def test_a_folder_without_policies_is_refused(trained, tmp_path):
     assert refused(tmp_path) == "`PATH` is no run folder: it has no config.toml"
-    assert refused(tmp_path / "x") == "`PATH` is no run folder: it has no config.toml"
-    with pytest.raises(s2mia.RunError, match="^`` is no run folder: it has no config.toml$"):
+    assert refused(tmp_path / "x") == "there is no `PATH`"
+    with pytest.raises(s2mia.RunError, match="^`` is neither a folder nor a task with a trained team; "):
         s2mia.load("")
     shutil.copy(trained / "config.toml", tmp_path)
     assert refused(tmp_path).startswith("PATH has no checkpoint yet; ")
@@ -251,7 +251,7 @@ def test_a_damaged_checkpoint_is_refused_and_of_a_run_the_one_before_it_is_taken
     assert s2mia.load(run, checkpoint=1).description.iteration == 1
     with pytest.raises(s2mia.RunError, match="has no checkpoint of iteration 3, only of 1, 2$"):
         s2mia.load(run, checkpoint=3)
-    with pytest.raises(s2mia.RunError, match="^checkpoint: name last, best or an iteration$"):
+    with pytest.raises(s2mia.RunError, match="^`newest` is no checkpoint; name last, best, an iteration or the folder of a checkpoint$"):
         s2mia.load(run, checkpoint="newest")
     assert re.search(r"WARN \S+/iter_00000002 is damaged and skipped: ", capfd.readouterr().err)
     assert "policy.safetensors" in refused(policy.parent)

@@ -36,6 +36,13 @@ def test_without_a_folder_the_run_gets_one_of_its_own(tmp_path, monkeypatch, cap
     assert "task cue-2x1" in capsys.readouterr().out
 
 
+def test_a_training_starts_from_the_policies_of_another_run(tmp_path):
+    first = s2mia.train("cue-2x1", run__dir=tmp_path / "first", **SHORT)
+    second = s2mia.train("cue-2x1", run__dir=tmp_path / "second", **SHORT, **{"policy.start": first.folder})
+    kept = (second.folder / "start_policies.safetensors").read_bytes()
+    assert kept == (first.folder / "checkpoints" / "iter_00000003" / "policy.safetensors").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("task", "settings", "message"),
     [

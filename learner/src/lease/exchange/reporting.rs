@@ -84,7 +84,7 @@ impl Exchange {
         self.snapshot.send_modify(|snapshot| Arc::make_mut(snapshot).end(end, first));
     }
 
-    /// Keeps the film of an accepted episode, unless newer policies have been filmed.
+    /// Keeps the film of an accepted episode for the page.
     pub fn keep_film(&self, header: &PushHeader, result: EvaluationResult, film: Film) {
         let version = header.weights.version;
         self.correct(|snapshot| snapshot.show_film(FilmedEpisode { version, result, film }));

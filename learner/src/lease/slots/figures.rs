@@ -4,7 +4,7 @@ use proto::LeaseStatus;
 
 use super::item::HeldLease;
 use super::works::{Group, Works};
-use super::{ConnectionId, Counts, Footprint, SlotTable};
+use super::{ConnectionId, Counts, SlotTable};
 
 impl SlotTable {
     /// The table's figures.
@@ -14,21 +14,27 @@ impl SlotTable {
             |held: &HeldLease| self.open.get(held.id).map_or(0, |lease| lease.chunks.len() as u64);
         let most = |leases: &[HeldLease]| leases.iter().map(chunks).max().unwrap_or(0);
         let slots = self.works.get(&Group::Slots);
-        let partial = slots.map_or(0, |slots| slots.held().map(most).sum());
+        let partial: u64 = slots.map_or(0, |slots| slots.held().map(most).sum());
+        let complete = slots.map_or(0, Works::complete_chunks);
+        let held: u64 = self.open.iter().map(|(_, lease)| lease.chunks.len() as u64).sum();
         Counts {
-            chunks: partial + slots.map_or(0, Works::complete_chunks),
+            chunks: partial + complete,
+            held_chunks: held + complete,
             actors: self.actors.count(),
             foreign: self.actors.foreign,
             reissued: self.reissued,
             backups: self.backups,
             audits: self.audits.counts,
+            open_audits: self.audits.open_slots(),
             leases: self.open.len(),
+            finished_leases: self.finished.count(),
+            earlier_results: slots.map_or(0, Works::earlier_results),
             held_slots: slots.map_or(0, |slots| slots.held().count()),
-            slot_time: self.times.for_each_environment(),
+            slot_time: self.times.slots.for_each_environment(),
             slots: slots.map_or(0, Works::len),
-            environments: slots.map_or(0, Works::environments),
-            environments_per_slot: slots.map_or(0, Works::item_environments),
-            complete_slots: slots.map_or(0, Works::complete_items),
+            environments: slots.map_or(0, |slots| slots.environments),
+            environments_per_slot: slots.map_or(0, |slots| slots.item_environments),
+            complete_slots: slots.map_or(0, |slots| slots.complete),
         }
     }
 
@@ -53,20 +59,5 @@ impl SlotTable {
     pub fn holds_lease(&self, connection: ConnectionId) -> bool {
         let mut actors = self.actors.of(connection).into_iter();
         actors.any(|actor| self.open.of(actor).next().is_some())
-    }
-
-    /// What the table holds in memory.
-    #[must_use]
-    pub fn footprint(&self) -> Footprint {
-        let partial = self.open.iter().map(|(_, lease)| lease.chunks.len() as u64).sum::<u64>();
-        let slots = self.works.get(&Group::Slots);
-        Footprint {
-            actors: self.actors.count(),
-            open_leases: self.open.len(),
-            finished_leases: self.finished.count(),
-            chunks: partial + slots.map_or(0, Works::complete_chunks),
-            earlier_results: slots.map_or(0, Works::earlier_results),
-            open_audits: self.audits.open_slots(),
-        }
     }
 }

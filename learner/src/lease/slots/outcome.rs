@@ -113,12 +113,14 @@ pub enum Offer {
     Done,
 }
 
-/// How far the table is.
+/// How far the table is, and how many entries of each kind it holds; each kind has a bound, whatever comes in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Chunks accepted in the open iteration, of complete slots and of the lease of each held slot that is furthest.
     pub chunks: u64,
-    /// Registered actors.
+    /// Chunks in memory: at most all of the open iteration twice.
+    pub held_chunks: u64,
+    /// Registered actors: at most 16 for each open connection.
     pub actors: usize,
     /// Actors without a fingerprint of which a result was accepted, over the whole run.
     pub foreign: u64,
@@ -128,8 +130,14 @@ pub struct Counts {
     pub backups: u64,
     /// Slots and episodes computed twice for comparison, over the whole run.
     pub audits: AuditCounts,
-    /// Open leases, of slots and of evaluation episodes.
+    /// Slots to be computed again for comparison: at most 8.
+    pub open_audits: usize,
+    /// Open leases: at most two for each slot and each episode of an open evaluation, and one for each audit.
     pub leases: usize,
+    /// Finished leases whose results are recognised when they come again: at most 4,096.
+    pub finished_leases: usize,
+    /// Digests of ended leases: at most 9 lists for each slot.
+    pub earlier_results: usize,
     /// Slots of the open iteration.
     pub slots: usize,
     /// Environments of all these slots.
@@ -142,21 +150,4 @@ pub struct Counts {
     pub slot_time: Option<Duration>,
     /// Those of them whose result is complete.
     pub complete_slots: usize,
-}
-
-/// How many entries of each kind the table holds; each kind has a bound, whatever comes in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Footprint {
-    /// Registered actors: at most 16 for each open connection.
-    pub actors: usize,
-    /// Open leases: at most two for each slot and each episode of an open evaluation, and one for each audit.
-    pub open_leases: usize,
-    /// Finished leases whose results are recognised when they come again: at most 4,096.
-    pub finished_leases: usize,
-    /// Chunks of the open iteration: at most all of them twice.
-    pub chunks: u64,
-    /// Digests of ended leases: at most 9 lists for each slot.
-    pub earlier_results: usize,
-    /// Slots to be computed again for comparison: at most 8.
-    pub open_audits: usize,
 }

@@ -20,7 +20,7 @@ const SHORTEST: Duration = Duration::from_secs(1);
 pub(super) struct TypicalTimes {
     /// A lease's time to live.
     ttl: Duration,
-    slots: TypicalTime,
+    pub(super) slots: TypicalTime,
     episodes: TypicalTime,
 }
 
@@ -41,21 +41,16 @@ impl TypicalTimes {
     /// The age at which the work of a group may get a backup lease: a time to live before the first complete
     /// one of its size.
     pub(super) fn backup_age(&self, works: &Works) -> Duration {
-        let latest = match works.group() {
+        let latest = match works.group {
             Group::Slots => &self.slots,
             Group::Evaluation(_) => &self.episodes,
         };
-        latest.backup_age(works.item_environments()).unwrap_or(self.ttl)
-    }
-
-    /// The median time of the latest slots, for each environment.
-    pub(super) fn for_each_environment(&self) -> Option<Duration> {
-        self.slots.for_each_environment()
+        latest.backup_age(works.item_environments).unwrap_or(self.ttl)
     }
 }
 
 #[derive(Debug, Default)]
-struct TypicalTime {
+pub(super) struct TypicalTime {
     /// Environments of each of these slots.
     environments: usize,
     times: VecDeque<Duration>,
@@ -81,7 +76,7 @@ impl TypicalTime {
     }
 
     /// The median of the latest times, divided by the environments of a slot; `None` before the first complete slot.
-    fn for_each_environment(&self) -> Option<Duration> {
+    pub(super) fn for_each_environment(&self) -> Option<Duration> {
         let environments = u32::try_from(self.environments).unwrap_or(u32::MAX).max(1);
         self.median().map(|median| median / environments)
     }

@@ -41,17 +41,19 @@ pub(super) enum Completion {
 /// The work of a group. Items change only in [`Self::change`], which keeps the indexes.
 #[derive(Debug)]
 pub(super) struct Works {
-    group: Group,
-    weights: WeightsName,
+    pub(super) group: Group,
+    pub(super) weights: WeightsName,
     items: Vec<Item>,
-    /// Environments of all items, and of the largest.
-    environments: (usize, usize),
+    /// Environments of all items.
+    pub(super) environments: usize,
+    /// Environments of the largest item; an episode has one.
+    pub(super) item_environments: usize,
     /// Indices of the items without a lease.
     free: BTreeSet<usize>,
     /// The items with a lease, by the begin of the latest one.
     held: BTreeSet<(Duration, usize)>,
     /// Items whose result is complete, those that the trainer took included.
-    complete: usize,
+    pub(super) complete: usize,
 }
 
 impl Works {
@@ -75,9 +77,16 @@ impl Works {
         };
         let items = works.map(item).collect::<Vec<_>>();
         let sizes = items.iter().map(|item| environments(&item.work));
-        let environments = (sizes.clone().sum(), sizes.max().unwrap_or(0));
-        let free = (0..items.len()).collect();
-        Self { group, weights, items, environments, free, held: BTreeSet::new(), complete: 0 }
+        Self {
+            group,
+            weights,
+            environments: sizes.clone().sum(),
+            item_environments: sizes.max().unwrap_or(0),
+            free: (0..items.len()).collect(),
+            held: BTreeSet::new(),
+            complete: 0,
+            items,
+        }
     }
 
     /// The first free item that `may_try` permits.
@@ -148,14 +157,6 @@ impl Works {
         let work = Arc::clone(&item.work);
         let attempt = item.issued - 1;
         Claimed { claim: Claim::Result(Key { group, index }), weights, work, attempt }
-    }
-
-    pub(super) fn group(&self) -> Group {
-        self.group
-    }
-
-    pub(super) fn weights(&self) -> WeightsName {
-        self.weights
     }
 
     /// The leases of each held item.
@@ -257,11 +258,6 @@ impl Works {
         self.items.len()
     }
 
-    /// Items whose result is complete, those that the trainer took included.
-    pub(super) fn complete_items(&self) -> usize {
-        self.complete
-    }
-
     /// Items without a result.
     pub(super) fn missing(&self) -> usize {
         self.items.len() - self.complete
@@ -270,16 +266,6 @@ impl Works {
     /// Whether an item has no lease.
     pub(super) fn any_free(&self) -> bool {
         !self.free.is_empty()
-    }
-
-    /// Environments of all items.
-    pub(super) fn environments(&self) -> usize {
-        self.environments.0
-    }
-
-    /// Environments of the largest item; an episode has one.
-    pub(super) fn item_environments(&self) -> usize {
-        self.environments.1
     }
 
     pub(super) fn earlier_results(&self) -> usize {

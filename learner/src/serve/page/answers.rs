@@ -1,58 +1,35 @@
 //! The JSON responses of the page.
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde_json::{Map, Value, json};
 
-use super::{OverlaidRun, Overlay, RunView};
-use crate::lease::exchange::status_json;
+use super::{RunFacts, ShownRun, ShownRuns};
 use crate::observe::metrics::Curves;
+use crate::observe::snapshot::FilmedEpisode;
 
-/// Constants of the run.
-pub(super) fn run(view: &RunView) -> Value {
-    let facts = &view.facts;
-    json!({
-        "manifest": facts.manifest,
-        "iterations": facts.iterations,
-        "env_steps": facts.env_steps,
-    })
-}
-
-/// The current status of the run.
-pub(super) fn status(view: &RunView) -> Value {
-    let run = view.exchange.run_snapshot();
-    json!({
-        "status": status_json(&run.status),
-        "stage": run.stage.name(),
-        "waiting": run.waiting,
-        "secs": run.phase_secs().map(BTreeMap::from),
-        "checkpoint": run.checkpoint.map(|written| written.iteration),
-        "checkpoint_failures": run.checkpoint_failures,
-        "lines": view.curves().lines(),
-        "film": run.film.as_ref().map(|episode| episode.version.0),
-    })
-}
-
-/// All curves since the start of the run: environment steps and figures, as arrays of equal length.
-pub(super) fn curves(view: &RunView) -> Value {
-    let curves = view.curves().clone();
-    json!({"lines": curves.lines(), "curves": arrays(&curves)})
-}
-
-/// The names of several runs.
-pub(super) fn runs(overlay: &Overlay) -> Value {
-    let names: Vec<_> = overlay.runs.iter().map(|run| &run.name).collect();
-    json!({"version": overlay.version, "runs": names})
-}
-
-/// All curves of several runs, with each run's group of seeds and what cannot be read of it, or null.
-pub(super) fn curves_of_runs(overlay: &Overlay) -> Value {
-    let of_run = |run: &OverlaidRun| {
-        let OverlaidRun { name, group, trouble, curves } = run;
-        json!({"name": name, "group": group, "trouble": trouble, "curves": arrays(curves)})
+/// What changes of the runs, without their curves.
+pub(super) fn runs(shown: &ShownRuns) -> Value {
+    let of_run = |run: &ShownRun| {
+        let ShownRun { name, group, trouble, live, policies, episodes, .. } = run;
+        let policies = policies.iter().map(|(iteration, mean)| json!([iteration, mean]));
+        json!({
+            "name": name,
+            "group": group,
+            "trouble": trouble,
+            "live": live,
+            "policies": policies.collect::<Vec<_>>(),
+            "episodes": episodes,
+        })
     };
-    let runs: Vec<_> = overlay.runs.iter().map(of_run).collect();
-    json!({"version": overlay.version, "runs": runs})
+    let runs: Vec<_> = shown.runs.iter().map(of_run).collect();
+    json!({"version": shown.version, "runs": runs})
+}
+
+/// All curves of each run since its start: environment steps and figures, as arrays of equal length.
+pub(super) fn curves(shown: &ShownRuns) -> Value {
+    let curves: Vec<_> = shown.runs.iter().map(|run| arrays(&run.curves)).collect();
+    json!({"version": shown.version, "curves": curves})
 }
 
 fn arrays(curves: &Curves) -> Map<String, Value> {
@@ -69,21 +46,31 @@ fn short(figure: f64) -> f64 {
     (figure as f32).to_string().parse().unwrap_or(f64::NAN)
 }
 
-/// The newest film of an evaluated episode, or null. Ends are in millimetres.
-pub(super) fn film(view: &RunView) -> Value {
-    let run = view.exchange.run_snapshot();
-    let Some(episode) = &run.film else { return Value::Null };
-    let film = &episode.film;
+/// Constants of a run, or why they cannot be read.
+pub(super) fn facts(facts: Result<RunFacts, String>) -> Value {
+    facts.map_or_else(error, |facts| json!(facts))
+}
+
+/// A film, or null if it must be requested again, or why it cannot be shown. Ends are in millimetres.
+pub(super) fn film(filmed: Result<Option<Arc<FilmedEpisode>>, String>) -> Value {
+    filmed.map_or_else(error, |filmed| filmed.map_or(Value::Null, |filmed| frames(&filmed)))
+}
+
+fn frames(filmed: &FilmedEpisode) -> Value {
+    let film = &filmed.film;
     let millimetres = film.ends.iter().map(|metres| (metres * 1e3).round() as i64);
     json!({
-        "iteration": episode.version.0,
-        "return": episode.result.extrinsic_return,
-        "steps": episode.result.steps,
+        "return": filmed.result.extrinsic_return,
+        "steps": filmed.result.steps,
         "frame_secs": film.frame_secs,
         "radii": film.radii,
         "drivers": film.drivers,
         "ends": millimetres.collect::<Vec<_>>(),
     })
+}
+
+fn error(why: String) -> Value {
+    json!({"error": why})
 }
 
 #[cfg(test)]

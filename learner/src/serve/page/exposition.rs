@@ -33,7 +33,7 @@ struct Exposition(String);
 impl Exposition {
     fn run(&mut self, facts: &Facts) {
         let label = |name| {
-            let value = facts.manifest[name].as_str().unwrap_or_default();
+            let value = facts.shown.manifest[name].as_str().unwrap_or_default();
             format!("{name}=\"{}\"", escaped(value))
         };
         let labels = ["run_id", "task", "algorithm", "version"].map(label).join(",");
@@ -45,7 +45,7 @@ impl Exposition {
         let status = &run.status;
         self.counter("env_steps", "Environment steps of complete slots", status.env_steps);
         self.gauge("iteration", "Finished iterations", status.iteration as f64);
-        let planned = facts.iterations as f64;
+        let planned = facts.shown.iterations as f64;
         self.gauge("iterations_planned", "Iterations of the whole run", planned);
         let help = "Uses of each environment step in the optimiser steps of an agent";
         self.gauge("sample_reuse_ratio", help, facts.sample_reuse);

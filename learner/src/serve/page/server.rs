@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::extract::{Request, State};
+use axum::extract::{Path, Request, State};
 use axum::http::header::{
     ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS,
@@ -30,11 +30,26 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 use tokio_rustls::TlsAcceptor;
 
-use super::{Hosts, Overlay, Page, RunView, answers, exposition};
+use super::{EpisodeName, Hosts, Page, RunView, Runs, answers, exposition};
 use crate::serve::accepting::Accepting;
 
 /// The page with its script and style.
-const PAGE: &str = include_str!("page.html");
+const PAGE: &str = concat!(
+    include_str!("html/head.html"),
+    "<style>",
+    include_str!("html/page.css"),
+    "</style>",
+    include_str!("html/body.html"),
+    "<script>",
+    include_str!("html/numbers.js"),
+    include_str!("html/charts.js"),
+    include_str!("html/robot.js"),
+    include_str!("html/page.js"),
+    "</script>",
+);
+
+/// The document whose tables explain the metrics.
+const EXPLANATIONS: &str = include_str!("../../../../docs/PAPER.md");
 
 /// Most concurrent connections; further ones wait to be accepted.
 const MOST_CONNECTIONS: usize = 32;
@@ -52,40 +67,46 @@ struct Rules {
     policy: HeaderValue,
 }
 
-/// Serves `view` on `page` until dropped.
-pub(crate) async fn serve(page: Page, view: Arc<RunView>) {
-    accept(page.listener, page.tls, &checked(run_routes(view), page.hosts)).await;
+/// Serves `runs` on `page` until dropped.
+pub async fn serve(page: Page, runs: Arc<dyn Runs>) {
+    accept(page.listener, page.tls, &checked(routes(runs), page.hosts)).await;
 }
 
-/// Serves the curves of several runs on `page` until dropped. `look` reads their folders; it runs
-/// on a blocking thread.
-pub async fn serve_overlay(page: Page, look: impl Fn() -> Overlay + Send + Sync + 'static) {
-    accept(page.listener, page.tls, &checked(overlay_routes(Arc::new(look)), page.hosts)).await;
+/// Serves the run of this process, also for Prometheus, until dropped.
+pub(crate) async fn serve_live(page: Page, view: Arc<RunView>) {
+    let scraped = Arc::clone(&view);
+    let text = move || exposition::text(&scraped);
+    let metrics = get(async move || written(exposition::CONTENT_TYPE, text).await);
+    let routes = routes(view).route("/metrics", metrics);
+    accept(page.listener, page.tls, &checked(routes, page.hosts)).await;
 }
 
-fn run_routes(view: Arc<RunView>) -> Router {
+fn routes(runs: Arc<dyn Runs>) -> Router {
+    type Named = Path<(usize, u64, u32)>;
     Router::new()
-        .route("/", get(async || html(PAGE.to_owned())))
-        .route("/api/run", get(async |State(view): Shared| json(view, answers::run).await))
-        .route("/api/status", get(async |State(view): Shared| json(view, answers::status).await))
-        .route("/api/curves", get(async |State(view): Shared| json(view, answers::curves).await))
-        .route("/api/film", get(async |State(view): Shared| json(view, answers::film).await))
-        .route("/metrics", get(async |State(view): Shared| metrics(view).await))
-        .with_state(view)
-}
-
-fn overlay_routes(look: Arc<dyn Fn() -> Overlay + Send + Sync>) -> Router {
-    let again = Arc::clone(&look);
-    let all = look;
-    let page = PAGE.replacen("<html ", "<html data-view=\"runs\" ", 1);
-    Router::new()
-        .route("/", get(async move || html(page)))
-        .route("/api/runs", get(async move || overlay(again, answers::runs).await))
-        .route("/api/curves", get(async move || overlay(all, answers::curves_of_runs).await))
-}
-
-fn html(page: String) -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/html; charset=utf-8")], page)
+        .route("/", get(async || ([(CONTENT_TYPE, "text/html; charset=utf-8")], PAGE)))
+        .route("/metrics.md", get(async || ([(CONTENT_TYPE, "text/markdown")], EXPLANATIONS)))
+        .route(
+            "/api/runs",
+            get(async |State(runs): Shared| json(move || answers::runs(&runs.look())).await),
+        )
+        .route(
+            "/api/curves",
+            get(async |State(runs): Shared| json(move || answers::curves(&runs.look())).await),
+        )
+        .route(
+            "/api/runs/{run}",
+            get(async |State(runs): Shared, Path(run): Path<usize>| {
+                json(move || answers::facts(runs.facts(run))).await
+            }),
+        )
+        .route(
+            "/api/film/{run}/{iteration}/{episode}",
+            get(async |State(runs): Shared, Path((run, iteration, index)): Named| {
+                json(move || answers::film(runs.film(run, EpisodeName { iteration, index }))).await
+            }),
+        )
+        .with_state(runs)
 }
 
 fn checked(routes: Router, hosts: Hosts) -> Router {
@@ -93,7 +114,7 @@ fn checked(routes: Router, hosts: Hosts) -> Router {
     routes.layer(middleware::from_fn_with_state(rules, check))
 }
 
-type Shared = State<Arc<RunView>>;
+type Shared = State<Arc<dyn Runs>>;
 
 async fn accept(listener: TcpListener, tls: Option<ServerTls>, routes: &Router) {
     let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
@@ -168,19 +189,8 @@ async fn check(State(rules): State<Arc<Rules>>, request: Request, next: Next) ->
     response
 }
 
-async fn json(view: Arc<RunView>, answer: fn(&RunView) -> Value) -> Response<Body> {
-    written("application/json", move || answer(&view).to_string()).await
-}
-
-async fn overlay(
-    look: Arc<dyn Fn() -> Overlay + Send + Sync>,
-    answer: fn(&Overlay) -> Value,
-) -> Response<Body> {
-    written("application/json", move || answer(&look()).to_string()).await
-}
-
-async fn metrics(view: Arc<RunView>) -> Response<Body> {
-    written(exposition::CONTENT_TYPE, move || exposition::text(&view)).await
+async fn json(answer: impl FnOnce() -> Value + Send + 'static) -> Response<Body> {
+    written("application/json", move || answer().to_string()).await
 }
 
 /// Responds with the text that `write` produces. It runs on a blocking thread, because actors need the network threads.

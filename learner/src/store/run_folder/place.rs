@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 
 use super::token::TOKEN;
 use super::{
-    ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, METRICS, PROVENANCE, RunFolder, RunFolderError, STARTS,
-    TENSORBOARD,
+    ADDRESS, CONFIG, LOCK, LOGS, MANIFEST, METRICS, PROVENANCE, RunFolder, RunFolderError,
+    START_POLICIES, STARTS, TENSORBOARD,
 };
 use crate::store::durable::{self, DRAFT, FileError};
 use crate::store::{checkpoint, plain_file};
 
 /// Names that a run writes into its folder; drafts begin with [`DRAFT`].
-const OWN: [&str; 11] = [
+const OWN: [&str; 12] = [
     ADDRESS,
     checkpoint::FOLDER,
     CONFIG,
@@ -23,6 +23,7 @@ const OWN: [&str; 11] = [
     MANIFEST,
     METRICS,
     PROVENANCE,
+    START_POLICIES,
     STARTS,
     TENSORBOARD,
     TOKEN,

@@ -182,7 +182,7 @@ impl<'a> Links<'a> {
             self.masses[link].add(solid);
             own.add(solid);
         }
-        if own.mass() > 0.0 {
+        if own.mass > 0.0 {
             let centre = vector(own.solid().centre);
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
@@ -209,7 +209,7 @@ impl<'a> Links<'a> {
 
     /// Sets the links' mass properties.
     pub(super) fn masses_to_links(&mut self, context: &Context) {
-        let sum: f64 = self.masses.iter().map(MassSum::mass).sum();
+        let sum: f64 = self.masses.iter().map(|sum| sum.mass).sum();
         let factor = context.options.total_mass.map_or(1.0, |total| total / sum);
         let roots = self.plans.iter().filter(|plan| plan.parent.is_none() && !plan.is_base());
         let is_alone = self.plans.len() > 1 && roots.count() == 1;

@@ -69,7 +69,7 @@ impl Push {
 
 /// Horizontal axes along which the robot can move.
 pub(super) fn horizontal(robot: &Robot) -> Vec<WorldAxis> {
-    match robot.blueprint().links[robot.layout().root].joint {
+    match robot.blueprint.links[robot.layout.root].joint {
         JointPlan::Planar(_) => vec![WorldAxis::X],
         _ => vec![WorldAxis::X, WorldAxis::Y],
     }

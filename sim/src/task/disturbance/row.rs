@@ -38,7 +38,7 @@ pub(crate) struct DisturbanceRow {
     /// Error of each measurement, drawn per episode.
     pub(super) sensor_bias: SensorRow,
     /// Whether the evaluations of a training are disturbed, too.
-    pub(super) in_evaluations: bool,
+    pub(crate) in_evaluations: bool,
 }
 
 /// A force on the mass centre of a link. Each window of `period_secs` has one push, at a time that is drawn uniformly.
@@ -132,7 +132,7 @@ impl DisturbanceRow {
     }
 
     /// What the task states, one line each.
-    pub(super) fn lines(&self) -> Vec<String> {
+    pub(crate) fn lines(&self) -> Vec<String> {
         let factor = |name: &str, of: &str, range: Option<[f32; 2]>| {
             range.map(|[low, high]| format!("{name}: {low} to {high} times {of}, in each episode"))
         };

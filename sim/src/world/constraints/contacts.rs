@@ -7,11 +7,12 @@ use rapier3d::parry::query::{ContactManifold, DefaultQueryDispatcher, Persistent
 use rapier3d::prelude::{ColliderHandle, PhysicsWorld};
 
 use super::matrix::dot;
-use super::motion::{LinkMotion, Motion, wide};
+use super::motion::{LinkMotion, Motion};
 use super::near::{Bounds, Near};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
     Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of,
+    wide,
 };
 use crate::scene::Shape;
 
@@ -83,8 +84,8 @@ struct Contact<'a> {
 
 impl Touching {
     pub(super) fn new(robot: &Robot) -> Self {
-        let blueprint = robot.blueprint();
-        let inverses = &robot.layout().shape_inverses;
+        let blueprint = &robot.blueprint;
+        let inverses = &robot.layout.shape_inverses;
         let links = blueprint.links.iter().enumerate();
         let shapes = links.flat_map(|(link, plan)| {
             let kind = if plan.is_base() { TouchKind::Base } else { TouchKind::Link(link) };
@@ -120,7 +121,7 @@ impl Touching {
             },
         });
         let mut shapes: Vec<TouchShape> = moving.chain(fixed).collect();
-        for (handle, collider) in robot.template().colliders.iter() {
+        for (handle, collider) in robot.template.colliders.iter() {
             shapes[shape_of(collider)].collider = Some(handle);
         }
         Self {

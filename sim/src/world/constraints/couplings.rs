@@ -3,15 +3,15 @@
 use rapier3d::glamx::DVec3;
 
 use super::matrix::dot;
-use super::motion::{LinkMotion, Motion, wide};
+use super::motion::{LinkMotion, Motion};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
-    Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan, product,
+    Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan, product, wide,
 };
 
 /// Adds all constraints of a robot's tendons and equalities.
 pub(super) fn add(problem: &mut ConstraintProblem, start: &Motion, robot: &Robot) {
-    let (blueprint, layout) = (robot.blueprint(), robot.layout());
+    let (blueprint, layout) = (&robot.blueprint, &robot.layout);
     for equality in &blueprint.equalities {
         add_equality(problem, start, (equality, robot));
     }
@@ -49,13 +49,13 @@ fn add_equality(
     start: &Motion,
     (equality, robot): (&EqualityPlan, &Robot),
 ) {
-    let layout = robot.layout();
+    let layout = &robot.layout;
     let side = |coupled: Coupled| match coupled {
         Coupled::Hinge(hinge) => {
             (Combination::of_hinge(hinge), f64::from(layout.hinges[hinge].inverse_inertia))
         }
         Coupled::Tendon(tendon) => {
-            (robot.blueprint().tendons[tendon].moved.clone(), layout.tendon_inverses[tendon])
+            (robot.blueprint.tendons[tendon].moved.clone(), layout.tendon_inverses[tendon])
         }
     };
     let (first, mut inverse) = side(equality.first);

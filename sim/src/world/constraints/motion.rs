@@ -8,7 +8,7 @@ use rapier3d::prelude::PhysicsWorld;
 use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
 use crate::robot::{
-    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, ball_joint, ball_rotation, turned,
+    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, ball_joint, ball_rotation, turned, wide,
 };
 
 /// Levers up to this are rounding, m. Without compliance, even such a lever would turn a link.
@@ -70,7 +70,7 @@ struct Branch {
 impl Motion {
     /// Reads the motion from the multibody.
     pub(super) fn read(&mut self, robot: &Robot, multibody: &Multibody, physics: &PhysicsWorld) {
-        let (blueprint, layout) = (robot.blueprint(), robot.layout());
+        let (blueprint, layout) = (&robot.blueprint, &robot.layout);
         if self.links.is_empty() {
             self.links = links_of(robot, multibody);
         }
@@ -186,8 +186,8 @@ impl Motion {
 /// Memory for the links of a robot.
 fn links_of(robot: &Robot, multibody: &Multibody) -> Vec<LinkMotion> {
     let mut links: Vec<LinkMotion> = Vec::new();
-    let plans = &robot.blueprint().links;
-    for (plan, map) in plans.iter().zip(&robot.layout().joints) {
+    let plans = &robot.blueprint.links;
+    for (plan, map) in plans.iter().zip(&robot.layout.joints) {
         let link = multibody.link(map.link).expect("the layout is this robot's");
         let own = link.joint().ndofs();
         let parent = plan.parent.filter(|parent| !plans[*parent].is_base());
@@ -352,9 +352,4 @@ pub(super) fn move_joint(
         let (position, rotation) = floating_pose(&link.joint);
         link.joint = floating_at(position, rotation);
     }
-}
-
-/// A vector in double precision.
-pub(super) fn wide(vector: Vector) -> DVec3 {
-    DVec3::from_array(vector.to_array().map(f64::from))
 }

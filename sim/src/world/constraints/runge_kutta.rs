@@ -33,7 +33,7 @@ impl Constraints {
         drives: &mut HingeDrives,
         physics: &mut PhysicsWorld,
     ) -> bool {
-        let (layout, step_secs) = (robot.layout(), self.step_secs);
+        let (layout, step_secs) = (&robot.layout, self.step_secs);
         let mut stages = std::mem::take(&mut self.stages);
         std::mem::swap(&mut self.start, &mut stages.start);
         let RungeKutta { start, speeds, moving, mean_speeds, mean_changes } = &mut stages;

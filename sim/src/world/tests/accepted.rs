@@ -53,7 +53,7 @@ fn without_contacts_walls_touch_nothing() {
         .replace("/><worldbody>", "><flag contact=\"disable\"/></option><worldbody>");
     assert!(off.contains("disable"));
     let robot = robot(&off).unwrap();
-    assert!(robot.blueprint().grounds.is_empty() && robot.left_out().is_empty());
+    assert!(robot.blueprint.grounds.is_empty() && robot.left_out().is_empty());
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn the_spring_of_a_tendon_rests_where_the_springs_of_its_joints_do_unless_length
         let tendon =
             format!("<tendon><fixed {lengths}><joint joint=\"j\" coef=\"1\"/></fixed></tendon>");
         let mjcf = document(joint, "").replace("</mujoco>", &format!("{tendon}</mujoco>"));
-        let found = robot(&mjcf).unwrap().blueprint().tendons[0].slack;
+        let found = robot(&mjcf).unwrap().blueprint.tendons[0].slack;
         let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(off < 1e-6, "{lengths}: {found:?}");
     }

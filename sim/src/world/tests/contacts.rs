@@ -13,7 +13,7 @@ pub(super) fn numbers(value: &serde_json::Value) -> Vec<f32> {
 
 /// Largest difference of two motions' coordinates; a quaternion and its negative are the same rotation.
 fn difference(world: &World, got: &[f32], expected: &[f32]) -> f32 {
-    let orientations = &world.robot().layout().orientations;
+    let orientations = &world.robot().layout.orientations;
     let sign = |index: usize| {
         let turn =
             orientations.iter().find(|own| (own.coordinate..own.coordinate + 4).contains(&index));

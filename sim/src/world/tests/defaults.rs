@@ -19,7 +19,7 @@ fn law(defaults: &str, actuator: &str) -> [f32; 5] {
     let actuator = actuator.replacen(kind, &format!("{kind} joint=\"j\" ctrlrange=\"-1 1\""), 1);
     let robot = with_defaults(defaults, ARM, &format!("<{actuator}/>"));
     let robot = robot.unwrap_or_else(|error| panic!("{defaults} {actuator}: {error}"));
-    let motor = &robot.blueprint().motors[0];
+    let motor = &robot.blueprint.motors[0];
     let [a, b, c] = motor.servo.as_ref().map_or([0.0; 3], |servo| servo.bias);
     let time = motor.activation.as_ref().map_or(0.0, |own| own.time_constant_secs);
     [motor.servo.as_ref().map_or(1.0, |servo| servo.gain), a, b, c, time]
@@ -96,7 +96,7 @@ fn numbers_that_an_element_does_not_state_are_those_of_its_class() {
     let body = "<body pos=\"0 0 9\"><joint name=\"j\" range=\"\" solreflimit=\"0.3\"/>\
         <geom type=\"box\" size=\"0.5\" friction=\"0.7\" solref=\"0.03\" mass=\"1\"/></body>";
     let robot = with_defaults(defaults, body, "").unwrap();
-    let link = &robot.blueprint().links[0];
+    let link = &robot.blueprint.links[0];
     let shape = &link.shapes[0].shape;
     assert!(matches!(shape, Shape::Box { half_sizes: [0.5, 0.2, 0.3] }), "{shape:?}");
     let hinge = link.hinge().unwrap();
@@ -118,6 +118,6 @@ fn an_empty_attribute_counts_as_none() {
     let robot = robot(&document(bodies, &motor).replace("</mujoco>", key)).unwrap();
     assert_eq!(robot.coordinate_names(), ["j.qw", "j.qx", "j.qy", "j.qz", "k"]);
     assert_eq!(robot.bodies(), ["world", "body 1", "body 2"]);
-    let keyframe = &robot.blueprint().keyframes[0];
+    let keyframe = &robot.blueprint.keyframes[0];
     assert!(keyframe.positions.is_empty() && keyframe.controls.is_empty());
 }

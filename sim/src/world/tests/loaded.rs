@@ -42,7 +42,7 @@ fn masses_centres_inertias_and_joints_are_equal_to_mujocos() {
     for (name, model) in reference["models"].as_object().unwrap() {
         let world = world_of(model["mjcf"].as_str().unwrap());
         let poses = world.link_poses();
-        let links = &world.robot().blueprint().links;
+        let links = &world.robot().blueprint.links;
         for expected in model["links"].as_array().unwrap() {
             let body = expected["name"].as_str().unwrap();
             let index = links.iter().position(|link| link.name == body).unwrap();

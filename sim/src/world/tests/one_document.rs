@@ -122,7 +122,7 @@ fn assert_same_link(got: &LinkPlan, expected: &LinkPlan) {
 
 fn assert_same(document: &str) -> String {
     let (direct, flat, text) = both(document);
-    let [expected, got] = [direct.blueprint(), flat.blueprint()];
+    let [expected, got] = [&direct.blueprint, &flat.blueprint];
     let rest = |plan: &Blueprint| {
         let Blueprint {
             timestep_secs,
@@ -168,9 +168,9 @@ fn fitted_shapes_and_height_fields_of_files_are_stated() {
     let (direct, flat, text) = both(&document);
     assert!(!text.contains("file="), "{text}");
     let [expected, got] = [&direct, &flat].map(|robot| {
-        let grounds = format!("{:?}", robot.blueprint().grounds);
+        let grounds = format!("{:?}", robot.blueprint.grounds);
         let capsule = |shape: &&ShapePlan| matches!(shape.shape, Shape::Capsule { .. });
-        (grounds, robot.blueprint().shapes().find(capsule).unwrap())
+        (grounds, robot.blueprint.shapes().find(capsule).unwrap())
     });
     assert!(expected.0.contains("heights: [0.125, 0.0, 0.0, 0.5]"), "{}", expected.0);
     assert_eq!(got.0, expected.0);

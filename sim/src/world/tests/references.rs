@@ -29,7 +29,7 @@ fn actuators_have_mujocos_gains_and_ranges() {
         let robot = robot(expected["mjcf"].as_str().unwrap()).unwrap();
         for expected in expected["motors"].as_array().unwrap() {
             let name = expected["name"].as_str().unwrap();
-            let motors = &robot.blueprint().motors;
+            let motors = &robot.blueprint.motors;
             let motor = motors.iter().find(|motor| motor.name == name).unwrap();
             assert_eq!(motor.joint, expected["joint"].as_str().unwrap(), "{model} {name}");
             let servo = motor.servo.unwrap();
@@ -99,12 +99,12 @@ fn couplings_continue_from_a_restored_motion_bit_for_bit() {
         let world = || world_of(mjcf);
         let count = world().robot().coordinate_names().len();
         let mut at: Vec<f32> = (0..count).map(|index| 0.01 * (index as f32 + 1.0)).collect();
-        for ball in &world().robot().layout().balls {
+        for ball in &world().robot().layout.balls {
             at[ball.coordinate..][..4].copy_from_slice(&[-0.5, 0.1, 0.7, -0.5]);
         }
         let count = world().robot().velocity_names().len();
         let speeds: Vec<f32> = (0..count).map(|index| 2.6 - 0.4 * index as f32).collect();
-        let controls = vec![0.2; world().robot().blueprint().motors.len()];
+        let controls = vec![0.2; world().robot().blueprint.motors.len()];
         assert_continues_bit_for_bit([world(), world()], &at, &speeds, &controls);
     }
 }

@@ -50,7 +50,7 @@ fn coordinates_have_the_order_of_the_bodies_and_the_root_is_that_of_the_first_dr
         ("ball.x", "tilt", "box.x")
     );
     assert_eq!(robot.rest()[..8], [0.0, 0.0, 1.06, 1.0, 0.0, 0.0, 0.0, 0.0]);
-    assert_eq!(robot.blueprint().links[robot.layout().root].name, "plate");
+    assert_eq!(robot.blueprint.links[robot.layout.root].name, "plate");
 }
 
 #[test]

@@ -1,0 +1,212 @@
+//! The trained policies from which a run starts. Its settings identify them by their SHA-256, wherever they are, and its folder
+//! keeps a copy.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use learner::store::run_folder::START_POLICIES;
+use learner::store::{checkpoint, plain_file};
+use policy::PolicySnapshot;
+use proto::Digest;
+
+use crate::config::keys::{START, START_SHA256};
+use crate::config::{ConfigError, Resolved, layers};
+use crate::process::shell;
+use crate::run::chosen::ChosenArguments;
+use crate::run::stored;
+
+/// How the environment or the learner scales observations. Policies know only the learner's scale.
+const NORM: &str = "observation.norm";
+
+/// Policies of a place that the setting may name.
+struct Found {
+    /// The encoded policies.
+    bytes: Vec<u8>,
+    /// The value of [`NORM`] in their run; `None` for a file, which does not say it.
+    norm: Option<String>,
+}
+
+/// Sets the SHA-256 of the policies that the settings name. Without any, no setting of them remains.
+///
+/// # Errors
+/// There are no such policies, they see other observations, or they are not those with the SHA-256 that the same file or command
+/// gives.
+pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
+    let named = resolved.text(START).to_owned();
+    if named.is_empty() {
+        if resolved.is_given(START_SHA256) {
+            let why = format!("`{START_SHA256}` has no effect in this run: it needs {START}");
+            return Err(ConfigError::refused(resolved, &[START_SHA256], &why));
+        }
+        resolved.entries.retain(|key, _| ![START, START_SHA256].contains(&key.as_str()));
+        return Ok(());
+    }
+    let Found { bytes, norm } = named_policies(resolved)?;
+    let own = resolved.text(NORM);
+    if let Some(norm) = norm.filter(|norm| *norm != own) {
+        let why = format!("the policies of {named} need {NORM} = {norm}, this run has {own}");
+        return Err(ConfigError::refused(resolved, &[START], &format!("{START}: {why}")));
+    }
+    let origin = resolved.origin(START_SHA256);
+    if origin == resolved.origin(START) || layers::is_of_this_command(origin) {
+        demand_digest(resolved, &bytes)?;
+    }
+    resolved.set(START_SHA256, Digest::of(&bytes).to_string(), START);
+    Ok(())
+}
+
+/// The policies from which a run with these settings starts, if it starts from any: those that the settings name, or those that
+/// the folder of the run `resumed` keeps. A run with a checkpoint needs them no more.
+///
+/// # Errors
+/// They are gone or have changed.
+pub(crate) fn policies(
+    resolved: &Resolved,
+    resumed: Option<&Path>,
+) -> anyhow::Result<Option<Vec<u8>>> {
+    if resolved.text(START_SHA256).is_empty() {
+        return Ok(None);
+    }
+    let bytes = match resumed {
+        None => named_policies(resolved)?.bytes,
+        Some(run) if checkpoint::newest_iteration(run)?.is_some() => return Ok(None),
+        Some(run) => of_file(&run.join(START_POLICIES))?,
+    };
+    demand_digest(resolved, &bytes)?;
+    Ok(Some(bytes))
+}
+
+fn named_policies(resolved: &Resolved) -> Result<Found, ConfigError> {
+    found(resolved.text(START)).map_err(|why| {
+        let detail = format!("{START}: {}", actor::causes(why.as_ref()));
+        ConfigError::refused(resolved, &[START], &detail)
+    })
+}
+
+/// The policies of a file, a run, `RUN:CHECKPOINT`, a checkpoint or a team that comes with the program.
+fn found(named: &str) -> anyhow::Result<Found> {
+    let mut path = shell::expanded(Path::new(named))?;
+    if path.is_file() {
+        return Ok(Found { bytes: of_file(&path)?, norm: None });
+    }
+    let mut checkpoint = None;
+    if let Some((run, which)) = named.rsplit_once(':').filter(|_| !path.exists()) {
+        path = shell::expanded(Path::new(run))?;
+        checkpoint = Some(which.into());
+    }
+    let trained = stored::trained(&ChosenArguments { run: Some(path), checkpoint }.path()?)?;
+    let norm = Some(trained.config.resolved.text(NORM).to_owned());
+    Ok(Found { bytes: trained.policy.to_bytes()?, norm })
+}
+
+/// The encoded policies in a file.
+fn of_file(file: &Path) -> anyhow::Result<Vec<u8>> {
+    let unreadable = || format!("cannot read {}", file.display());
+    let bytes = plain_file::read(file).with_context(unreadable)?;
+    PolicySnapshot::from_bytes(&bytes).with_context(unreadable)?;
+    Ok(bytes)
+}
+
+/// Refuses other policies than those with the SHA-256 in the settings.
+fn demand_digest(resolved: &Resolved, bytes: &[u8]) -> Result<(), ConfigError> {
+    let (named, expected) = (resolved.text(START), resolved.text(START_SHA256));
+    let found = Digest::of(bytes).to_string();
+    if found == expected {
+        return Ok(());
+    }
+    let detail = format!(
+        "{START}: the policies of {named} have the SHA-256 {found}, the settings {expected}; a run that started from those keeps \
+         them in its {START_POLICIES}"
+    );
+    Err(ConfigError::refused(resolved, &[START], &detail))
+}
+
+/// Names the copy that the folder of a run keeps as the place of the policies from which it started, if it started from any.
+pub(crate) fn take_kept(resolved: &mut Resolved, run: &Path) {
+    if !resolved.text(START_SHA256).is_empty() {
+        resolved.set(START, run.join(START_POLICIES).display().to_string(), "run folder");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Request;
+    use crate::config::run_config::RunConfig;
+    use crate::run::pretrained;
+
+    const TASK: &str = "halfcheetah-2x3";
+
+    fn config(settings: &[&str]) -> Result<RunConfig, String> {
+        RunConfig::with(&[&[TASK], settings].concat()).map_err(|error| error.to_string())
+    }
+
+    fn sha256(config: &RunConfig) -> String {
+        policy::arrays::hex(&config.resolved.sha256())
+    }
+
+    #[test]
+    fn the_settings_identify_the_policies_by_their_content_and_are_the_same_without_any() {
+        let team = pretrained::of_task(TASK).unwrap().unwrap().trained().unwrap();
+        let bytes = team.policy.to_bytes().unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("copy.safetensors");
+        std::fs::write(&file, &bytes).unwrap();
+        let named = config(&["policy.start=halfcheetah-2x3"]).unwrap();
+        let copied = config(&[&format!("policy.start={}", file.display())]).unwrap();
+        let digest = Digest::of(&bytes).to_string();
+        assert_eq!(named.resolved.text(START_SHA256), digest);
+        assert_eq!(team.weights.digest.to_string(), digest);
+        assert_eq!(sha256(&named), sha256(&copied));
+        let (plain, empty) = (config(&[]).unwrap(), config(&["policy.start="]).unwrap());
+        assert_eq!(plain.resolved.to_toml(), empty.resolved.to_toml());
+        assert!(!plain.resolved.to_toml().contains("start_sha256"));
+        assert_ne!(sha256(&plain), sha256(&named));
+        assert_eq!(policies(&copied.resolved, None).unwrap().unwrap(), bytes);
+        assert!(policies(&plain.resolved, None).unwrap().is_none());
+    }
+
+    #[test]
+    fn policies_that_are_gone_changed_or_see_other_observations_are_refused_in_one_line() {
+        for (settings, words) in [
+            (&["policy.start=halfcheetah-2x2"][..], "did you mean `halfcheetah-2x3`?"),
+            (&["policy.start=no/such/run"], "command line: policy.start: "),
+            (&["policy.start=halfcheetah-2x3:best"], "has no checkpoints to choose from"),
+            (
+                &["policy.start=halfcheetah-2x3", "observation.norm=none"],
+                "policy.start: the policies of halfcheetah-2x3 need observation.norm = running, this run has none",
+            ),
+            (
+                &["policy.start=halfcheetah-2x3", "policy.start_sha256=ab"],
+                "the settings ab; a run that started from those keeps them in its start_policies.safetensors",
+            ),
+            (&["policy.start_sha256=ab"], "it needs policy.start"),
+        ] {
+            let line = config(settings).unwrap_err();
+            assert!(line.contains(words) && !line.contains('\n'), "{line}");
+        }
+    }
+
+    #[test]
+    fn the_settings_of_a_run_are_read_without_the_policies_unless_others_are_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("config.toml");
+        let text = config(&["policy.start=halfcheetah-2x3"]).unwrap().resolved.to_toml();
+        std::fs::write(&file, text.replace("\"halfcheetah-2x3\"\nstart_", "\"gone\"\nstart_"))
+            .unwrap();
+        let resumed = |settings: &[&str]| {
+            let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
+            let request = Request { resumed: Some(file.clone()), settings, ..Request::default() };
+            RunConfig::of(&request).map(|config| config.resolved)
+        };
+        let own = resumed(&[]).unwrap();
+        assert_eq!(own.text(START), "gone");
+        for named in ["policy.start=gone", "policy.start=halfcheetah-2x3"] {
+            let again = resumed(&[named]).unwrap();
+            assert_eq!(again.text(START_SHA256), own.text(START_SHA256), "{named}");
+        }
+        assert!(resumed(&["policy.start=gone-too"]).is_err());
+        let new = Request { files: vec![file.clone()], ..Request::default() };
+        assert!(RunConfig::of(&new).is_err(), "a new run reads them");
+    }
+}
