@@ -61,7 +61,7 @@ fn skill(snapshot: &PolicySnapshot) -> (f32, f32) {
 #[test]
 fn every_rule_solves_the_reaching_task_with_and_without_memory() {
     let on_policy = on_policy().into_iter().map(|settings| (settings, 60));
-    for (settings, iterations) in on_policy.chain([(maddpg(), 40), (hasac(), 20)]) {
+    for (settings, iterations) in on_policy.chain([(maddpg(), 40), (hasac(), 40)]) {
         let name = &settings.name;
         let [before, after] =
             train::<Reaching>(&settings, iterations).map(|policies| skill(&policies));

@@ -101,6 +101,6 @@ fn config(rule: Rule) -> TrainingConfig {
     hasac.replay = 20_000;
     hasac.batch = 64;
     hasac.warm_up = 1000;
-    hasac.updates_per_step = 0.1;
+    hasac.updates_per_step = 0.2;
     config
 }
