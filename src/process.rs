@@ -65,17 +65,30 @@ pub(crate) fn stop_on_signal(
     stop: watch::Sender<bool>,
     announce: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
-    stop_on_repeated_signal(stop, Duration::ZERO, announce)
+    stop_or_exit(stop, Duration::ZERO, announce, || ())
 }
 
-/// The same, but the signals that arrive within `repeated` after the first one are the same stop request.
-pub(crate) fn stop_on_repeated_signal(
+/// The same, but the signals that arrive within `repeated` after the first one are the same stop request, and `clean_up` runs
+/// before the exit.
+pub(crate) fn stop_or_exit(
     stop: watch::Sender<bool>,
     repeated: Duration,
     announce: impl FnOnce() + Send + 'static,
+    clean_up: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
-    let requests = Requests::listen()?;
-    tokio::spawn(requests.watch(stop, repeated, announce));
+    let mut requests = Requests::listen()?;
+    tokio::spawn(async move {
+        let kind = requests.first().await;
+        announce();
+        stop.send_replace(true);
+        if kind == SignalKind::hangup() {
+            // A session that ends sends SIGHUP more than once, and SIGTERM besides.
+            requests.repeated().await;
+        }
+        let signal = requests.second(repeated).await;
+        clean_up();
+        std::process::exit(ENDED_BY_SIGNAL + signal.as_raw_value());
+    });
     Ok(())
 }
 
@@ -207,25 +220,14 @@ impl Requests {
         })
     }
 
-    async fn watch(
-        mut self,
-        stop: watch::Sender<bool>,
-        repeated: Duration,
-        announce: impl FnOnce(),
-    ) {
-        let kind = self.first().await;
-        announce();
-        stop.send_replace(true);
-        if kind == SignalKind::hangup() {
-            // A session that ends sends SIGHUP more than once, and SIGTERM besides.
-            self.repeated().await;
-        }
+    /// The signal that ends the process at once, after the first request.
+    async fn second(&mut self, repeated: Duration) -> SignalKind {
         let first = Instant::now();
         let mut second = self.repeated().await;
         while first.elapsed() < repeated {
             second = self.repeated().await;
         }
-        std::process::exit(ENDED_BY_SIGNAL + second.as_raw_value());
+        second
     }
 
     /// The next of the three signals.

@@ -205,6 +205,7 @@ fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Dige
         rollout_fingerprint: fingerprint,
         resume: false,
         start: None,
+        evaluations: None,
     }
 }
 

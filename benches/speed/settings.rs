@@ -110,6 +110,7 @@ impl CaseSettings {
             manifest: serde_json::json!({}),
             resume: false,
             start: None,
+            evaluations: None,
         })
     }
 }

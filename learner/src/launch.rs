@@ -12,6 +12,7 @@ use crate::error::LearnerError;
 use crate::lease::end_states::StateReader;
 use crate::store::checkpoint;
 use crate::train::assemble::problem;
+use crate::train::evaluation::PlannedEvaluations;
 
 /// What training changes, before the first iteration.
 pub(crate) type FirstState = (Box<dyn Algorithm>, ObservationMoments);
@@ -61,6 +62,8 @@ pub struct Launch {
     pub resume: bool,
     /// An encoded [`PolicySnapshot`] from which training begins; `None`: from policies that the seed draws, or a checkpoint.
     pub start: Option<Vec<u8>>,
+    /// The evaluations of a run that is computed again, in the place of those that the settings schedule.
+    pub evaluations: Option<PlannedEvaluations>,
 }
 
 impl Launch {

@@ -210,11 +210,12 @@ fn others(arguments: &ExperimentArguments) -> Others {
 
 async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Tally, bool)> {
     let (stop_sender, stop) = watch::channel(false);
-    process::stop_on_repeated_signal(stop_sender, REPEATED, || {
+    let announce = || {
         output::line(
             "stopping after a checkpoint of each run; Ctrl-C again, two seconds later, ends at once",
         );
-    })?;
+    };
+    process::stop_or_exit(stop_sender, REPEATED, announce, || ())?;
     let mut progress = ExperimentProgress::new(runs);
     let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;
     let stopped = *stop.borrow();

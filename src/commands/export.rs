@@ -14,6 +14,7 @@ use rollout::StepEvent;
 use serde_json::json;
 use sim::{EnvironmentBatch, SimError};
 
+use crate::figures::chart;
 use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
@@ -37,11 +38,18 @@ pub(crate) struct ExportArguments {
 
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
-    let trained = stored::trained(&arguments.of.path()?)?;
+    let run = arguments.of.path()?;
+    let trained = stored::trained(&run)?;
     let mut hosted = trained.environment()?;
     target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();
     let files = export((&arguments.onnx, existing), &trained, hosted.environment.as_mut())?;
+    let steps = chart::thousands(trained.env_steps);
+    let iteration = trained.iteration;
+    output::line(format!(
+        "{}: policies of iteration {iteration}, {steps} env steps",
+        run.display()
+    ));
     for (name, holds) in files {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }

@@ -37,10 +37,7 @@ pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
     } else {
         (figures::LEARNING_CURVE, figures::write_learning_curve)
     };
-    // A run folder has the figures of its own run only.
-    if arguments.out.is_some() || arguments.runs.len() > 1 {
-        target::demand_free("--out", figures::paths(&folder, name), arguments.force.existing())?;
-    }
+    target::demand_free("--out", figures::paths(&folder, name), arguments.force.existing())?;
     let written = write(&folder, &curves)?;
     written.iter().for_each(|path| output::line(path.display()));
     Ok(())

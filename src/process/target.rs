@@ -1,5 +1,5 @@
-//! Files and folders that commands write. A file that a user names is replaced, or written with an unusual extension, only
-//! on request. It appears complete or not at all.
+//! Files and folders that commands write. An existing file is replaced, and one with an unusual extension written, only on
+//! request. A file appears complete or not at all.
 
 use std::fs::File;
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
@@ -69,7 +69,7 @@ impl Target {
         Ok(Self { path: path.to_path_buf(), existing })
     }
 
-    /// A file with a fixed name, which is replaced.
+    /// A file that the program keeps up to date under a fixed name.
     ///
     /// # Errors
     /// A link, a pipe or a device has this name.
@@ -144,11 +144,11 @@ pub(crate) fn demand_free(
 ) -> Result<(), Usage> {
     for path in paths {
         let Ok(found) = path.symlink_metadata() else { continue };
-        if existing == Existing::Kept {
-            return Err(taken(&format!("{option} "), &path));
-        }
         if let Some(why) = plain_file::refusal(&path).filter(|_| !found.is_symlink()) {
             return Err(Usage::new(format!("{option} {}: {why}", path.display())));
+        }
+        if existing == Existing::Kept {
+            return Err(taken(&format!("{option} "), &path));
         }
     }
     Ok(())

@@ -122,11 +122,6 @@ impl Recorded {
         }
     }
 
-    /// Whether the learner of the run started more than once.
-    pub(crate) fn is_resumed(&self) -> anyhow::Result<bool> {
-        Ok(all_lines(&self.folder.join(STARTS))?.len() > 1)
-    }
-
     /// Versions and commits of the programs that computed the run.
     pub(crate) fn builds(&self) -> anyhow::Result<BTreeSet<String>> {
         let starts = all_lines(&self.folder.join(STARTS))?;

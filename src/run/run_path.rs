@@ -108,13 +108,16 @@ pub(crate) fn target(
     existing: Existing,
 ) -> anyhow::Result<Target> {
     let extension = own.extension().unwrap_or_default().to_string_lossy();
-    let team = (!path.exists()).then(|| format!("{}.{extension}", path.display()));
-    if let Some(file) = named.or(team.as_deref().map(Path::new)) {
-        return Ok(Target::named(option, file, &extension, existing)?);
-    }
-    let file = folder_of(path, option)?.join(own);
-    file.parent().map_or(Ok(()), target::folder)?;
-    Target::fixed(&file)
+    let file = match named {
+        Some(file) => file.to_path_buf(),
+        None if !path.exists() => PathBuf::from(format!("{}.{extension}", path.display())),
+        None => {
+            let file = folder_of(path, option)?.join(own);
+            file.parent().map_or(Ok(()), target::folder)?;
+            file
+        }
+    };
+    Ok(Target::named(option, &file, &extension, existing)?)
 }
 
 /// The files of a folder whose names `belong`, in the order of their names. Refuses pipes and devices, which would block.

@@ -3,12 +3,13 @@
 
 mod lines;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::hash::{BuildHasher as _, RandomState};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use actor::Transport;
-use anyhow::{Context as _, anyhow, ensure};
+use anyhow::{Context as _, ensure};
 use learner::observe::event::Event;
 use learner::store::checkpoint::Loaded;
 use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder};
@@ -21,7 +22,7 @@ use crate::config::run_config::RunConfig;
 use crate::process::{self, output, runtime};
 use crate::run::recorded::Recorded;
 use crate::run::run_path::Others;
-use crate::run::verification::lines::{has_other_settings, same};
+use crate::run::verification::lines::same;
 use crate::run::{self, BUILD, PreparedRun, session, start};
 
 /// Iterations of a run that one start computes.
@@ -40,9 +41,6 @@ pub(crate) struct Confirmed {
     pub(crate) weights_sha256: String,
     /// Mean return of each evaluation, by its iteration.
     pub(crate) evaluations: BTreeMap<u64, f64>,
-    /// Iterations of recorded evaluations that the settings of the part do not make. There are none if no resume may have changed
-    /// them.
-    pub(crate) uncompared: BTreeSet<u64>,
 }
 
 impl Part {
@@ -95,45 +93,85 @@ pub(crate) fn chosen(parts: Vec<Part>, count: u64) -> Vec<Part> {
 /// Computes parts of a run again.
 pub(crate) struct Verifier<'a> {
     recorded: &'a Recorded,
-    /// Whether a resume may have changed the settings of evaluations.
-    is_resumed: bool,
     runtime: Runtime,
     stop: (watch::Sender<bool>, watch::Receiver<bool>),
+    scratch: Scratch,
+}
+
+/// What one training of a part evaluates.
+struct Evaluations {
+    /// Whether actions are sampled.
+    sampled: bool,
+    /// Number of episodes by iteration.
+    planned: BTreeMap<u64, u32>,
 }
 
 impl<'a> Verifier<'a> {
     /// A verifier that a signal stops.
     pub(crate) fn of(recorded: &'a Recorded) -> anyhow::Result<Self> {
-        let (runtime, stop) = (runtime()?, watch::channel(false));
+        let (runtime, stop, scratch) = (runtime()?, watch::channel(false), Scratch::make()?);
+        let (stop_sender, folder) = (stop.0.clone(), scratch.0.clone());
         let announce = || output::error("stopping");
-        runtime.block_on(async { process::stop_on_signal(stop.0.clone(), announce) })?;
-        Ok(Self { recorded, is_resumed: recorded.is_resumed()?, runtime, stop })
+        let clean_up = move || remove(&folder);
+        runtime.block_on(async {
+            process::stop_or_exit(stop_sender, Duration::ZERO, announce, clean_up)
+        })?;
+        Ok(Self { recorded, runtime, stop, scratch })
     }
 
-    /// Computes a part; `reached` is called with each finished iteration.
+    /// Computes a part; `reached` is called with each finished iteration. A resume may have changed whether evaluations sample
+    /// actions: a part with both kinds is computed twice.
     ///
     /// # Errors
     /// The part cannot be computed, or a result differs from the recorded one, which is named with the programs of both.
     pub(crate) fn verify(
         &self,
         part: Part,
-        reached: impl FnMut(u64) + Send + 'static,
+        reached: impl FnMut(u64) + Clone + Send + 'static,
     ) -> anyhow::Result<Confirmed> {
-        let scratch = Scratch::make()?;
-        let found = self.compute(part, &scratch.0.join("run"), reached)?;
-        match self.compare(part, &found) {
-            Ok(confirmed) => Ok(confirmed),
-            Err(why) => anyhow::bail!("{}; {}", actor::causes(why.as_ref()), self.programs()?),
+        let mut confirmed =
+            Confirmed { weights_sha256: String::new(), evaluations: BTreeMap::new() };
+        for evaluations in self.evaluations(part)? {
+            let folder = self.scratch.0.join(format!("{}-{}", part.start, evaluations.sampled));
+            let found = self.compute((part, &evaluations), &folder, reached.clone())?;
+            if let Err(why) = self.compare((part, &evaluations), &found, &mut confirmed) {
+                anyhow::bail!("{}; {}", actor::causes(why.as_ref()), self.programs()?);
+            }
+            remove(&folder);
         }
+        Ok(confirmed)
+    }
+
+    /// The recorded evaluations of a part's policies, and of those of its first checkpoint, by whether they sample actions. There
+    /// are those of the settings at least, even if they are none.
+    fn evaluations(&self, part: Part) -> anyhow::Result<Vec<Evaluations>> {
+        let usual = self.recorded.settings_after(part.start)?.learner.evaluation;
+        let mut kinds = BTreeMap::new();
+        for (iteration, line) in self.recorded.evaluations.range(part.start..=part.end) {
+            // Earlier programs did not record it.
+            let sampled = line["sampled"].as_bool().unwrap_or(usual.sampled);
+            let episodes = line["episodes"].as_u64().and_then(|count| u32::try_from(count).ok());
+            let episodes = episodes.with_context(|| {
+                format!(
+                    "the evaluation of iteration {iteration} in {METRICS} has no number of episodes"
+                )
+            })?;
+            kinds.entry(sampled).or_insert_with(BTreeMap::new).insert(*iteration, episodes);
+        }
+        if kinds.is_empty() {
+            kinds.insert(usual.sampled, BTreeMap::new());
+        }
+        let kinds = kinds.into_iter();
+        Ok(kinds.map(|(sampled, planned)| Evaluations { sampled, planned }).collect())
     }
 
     fn compute(
         &self,
-        part: Part,
+        (part, evaluations): (Part, &Evaluations),
         folder: &Path,
         mut reached: impl FnMut(u64) + Send + 'static,
     ) -> anyhow::Result<Recorded> {
-        let config = self.settings(part, folder)?;
+        let config = self.settings((part, evaluations.sampled), folder)?;
         let resumed = (part.start > 0).then_some(folder);
         if let Some(folder) = resumed {
             self.copy(part.start, folder, &config.resolved.to_toml())?;
@@ -148,6 +186,7 @@ impl<'a> Verifier<'a> {
         };
         let PreparedRun { config, mut launch, new: _new, .. } = prepared?;
         launch.until = part.end;
+        launch.evaluations = Some(evaluations.planned.clone());
         let observer = Box::new(move |event: &Event| {
             if let Event::Iteration(report) = event {
                 reached(report.iteration);
@@ -160,11 +199,12 @@ impl<'a> Verifier<'a> {
     }
 
     /// The settings at the start of a part, for a run in `folder` on this machine.
-    fn settings(&self, part: Part, folder: &Path) -> anyhow::Result<RunConfig> {
+    fn settings(&self, (part, sampled): (Part, bool), folder: &Path) -> anyhow::Result<RunConfig> {
         let own = self.recorded.settings_after(part.start)?;
         let mut resolved = own.resolved;
         resolved.take_machine(&RunConfig::with(&[])?.resolved);
         resolved.set("run.dir", folder.display().to_string(), "verification");
+        resolved.set("evaluation.sampled", sampled, "verification");
         start::take_kept(&mut resolved, &self.recorded.folder);
         Ok(RunConfig::build(resolved)?)
     }
@@ -185,7 +225,12 @@ impl<'a> Verifier<'a> {
         Ok(())
     }
 
-    fn compare(&self, part: Part, found: &Recorded) -> anyhow::Result<Confirmed> {
+    fn compare(
+        &self,
+        (part, evaluations): (Part, &Evaluations),
+        found: &Recorded,
+        confirmed: &mut Confirmed,
+    ) -> anyhow::Result<()> {
         let recorded = self.recorded;
         for iteration in part.start + 1..=part.end.min(recorded.last()) {
             for (file, old, new) in [
@@ -197,49 +242,12 @@ impl<'a> Verifier<'a> {
         }
         self.compare_checkpoints(part, found)?;
         let weights = found.provenance[&part.end]["weights_sha256"].as_str().unwrap_or_default();
-        let mut confirmed = Confirmed {
-            weights_sha256: weights.to_owned(),
-            evaluations: BTreeMap::new(),
-            uncompared: BTreeSet::new(),
-        };
-        self.compare_evaluations(part, found, &mut confirmed)?;
-        Ok(confirmed)
-    }
-
-    /// Compares the recorded evaluations of a part's iterations, and the others that were found.
-    fn compare_evaluations(
-        &self,
-        part: Part,
-        found: &Recorded,
-        confirmed: &mut Confirmed,
-    ) -> anyhow::Result<()> {
-        // That of the policies of the first checkpoint belongs to the part before it.
-        let first = if part.start == 0 { 0 } else { part.start + 1 };
-        let (recorded, found) = (&self.recorded.evaluations, &found.evaluations);
-        for (iteration, old) in recorded {
-            let is_of_part = (first..=part.end).contains(iteration);
-            match found.get(iteration) {
-                None if !is_of_part => {}
-                None if self.is_resumed => {
-                    confirmed.uncompared.insert(*iteration);
-                }
-                None => anyhow::bail!(
-                    "{METRICS} has an evaluation of iteration {iteration}, the settings of the run make none"
-                ),
-                Some(new) if self.is_resumed && has_other_settings(old, new) => {
-                    confirmed.uncompared.insert(*iteration);
-                }
-                Some(new) => {
-                    let lines = (*iteration, recorded, found);
-                    let compared = same(METRICS, "the evaluation of iteration", lines);
-                    // Such a line does not say all its settings.
-                    let hint = (self.is_resumed && old["sampled"].is_null())
-                        .then_some("; a resume that changed evaluation.sampled would explain it");
-                    compared.map_err(|why| anyhow!("{why}{}", hint.unwrap_or_default()))?;
-                    let mean = new["mean"].as_f64().unwrap_or(f64::NAN);
-                    confirmed.evaluations.insert(*iteration, mean);
-                }
-            }
+        weights.clone_into(&mut confirmed.weights_sha256);
+        for iteration in evaluations.planned.keys() {
+            let lines = (*iteration, &recorded.evaluations, &found.evaluations);
+            same(METRICS, "the evaluation of iteration", lines)?;
+            let mean = recorded.evaluations[iteration]["mean"].as_f64().unwrap_or(f64::NAN);
+            confirmed.evaluations.insert(*iteration, mean);
         }
         Ok(())
     }
@@ -311,9 +319,15 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // The system clears its temporary folder if this fails.
-        let _removed = std::fs::remove_dir_all(&self.0);
+        remove(&self.0);
     }
+}
+
+/// Removes a temporary folder. The system does if this fails. Under its new name nothing is added meanwhile.
+fn remove(folder: &Path) {
+    let removed = folder.with_extension("removed");
+    let _renamed = std::fs::rename(folder, &removed);
+    let _removed = std::fs::remove_dir_all(removed);
 }
 
 #[cfg(test)]

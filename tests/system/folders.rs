@@ -19,6 +19,11 @@ fn a_checkpoint_is_read_in_the_place_of_a_run_and_no_run_starts_in_it() {
     assert_eq!((&whole["iteration"], &before["iteration"]), (&2.into(), &1.into()));
     assert!(succeeded(&["eval", text(&first), "--episodes", "1"]).contains("evaluation-1-0"));
     assert!(succeeded(&["status", text(&first)]).contains("my run is finished"));
+    for named in [&[][..], &[text(&run)]] {
+        let told =
+            succeeded(&[&["inspect", "--json", "--checkpoint", text(&first)], named].concat());
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&told).unwrap(), before);
+    }
     succeeded(&["film", text(&first), "--frames", "1"]);
     succeeded(&["record", text(&first)]);
     assert!(run.join("film.gif").is_file() && run.join("logs/iter_00000001.mcap").is_file());
@@ -53,6 +58,14 @@ fn a_run_starts_in_a_folder_with_files_of_others_only_on_request() {
     assert!(folder.join("manifest.json").is_file() && folder.join("thesis.tex").is_file());
 }
 
+/// Repeats a command that writes files: without `--force` it is refused.
+fn demand_force(command: &[&str]) {
+    succeeded(command);
+    let line = refused(command);
+    assert!(line.contains("already exists") && line.contains("--force"), "{line}");
+    succeeded(&[command, &["--force"]].concat());
+}
+
 #[test]
 fn existing_files_are_replaced_only_on_request_and_no_folder_around_a_file_is_created() {
     let runs = Runs::new();
@@ -73,11 +86,7 @@ fn existing_files_are_replaced_only_on_request_and_no_folder_around_a_file_is_cr
             [words, &target[..]].concat()
         };
         let path = runs.folder(name);
-        let command = at(text(&path));
-        succeeded(&command);
-        let line = refused(&command);
-        assert!(line.contains("already exists") && line.contains("--force"), "{line}");
-        succeeded(&[&command[..], &["--force"]].concat());
+        demand_force(&at(text(&path)));
         if !option.is_empty() {
             let inside = missing.join(name);
             let why = format!(
@@ -89,6 +98,9 @@ fn existing_files_are_replaced_only_on_request_and_no_folder_around_a_file_is_cr
             assert!(line.contains(&why), "{line}");
             assert!(!missing.exists(), "{words:?}");
         }
+    }
+    for own in [&["film", run, "--frames", "1"][..], &["record", run], &["plot", run]] {
+        demand_force(own);
     }
     assert!(refused(&["record", run, "--out", run]).contains("is a folder; name a file"));
     let figures = runs.folder("figures");
@@ -107,7 +119,6 @@ fn pipes_and_links_in_a_run_folder_are_refused_in_one_line() {
         ("metrics.jsonl", &[&["plot"][..], &["train", "--resume"]][..]),
         ("config.toml", &[&["plot"], &["train", "--resume"]]),
         ("learner.lock", &[&["status"], &["train", "--resume"]]),
-        ("film.gif", &[&["film"]]),
     ] {
         let (path, kept) = (run.join(name), run.join("kept"));
         let there = std::fs::rename(&path, &kept).is_ok();
@@ -125,6 +136,11 @@ fn pipes_and_links_in_a_run_folder_are_refused_in_one_line() {
         assert!(!there || std::fs::rename(&kept, &path).is_ok());
     }
     succeeded(&["train", "--resume", text(&run)]);
+    assert!(Command::new("mkfifo").arg(run.join("film.gif")).status().unwrap().success());
+    for more in [&[][..], &["--force"]] {
+        let line = refused(&[&["film", text(&run)], more].concat());
+        assert!(line.contains("film.gif: ") && line.contains("not a plain file"), "{line}");
+    }
 }
 
 #[test]

@@ -42,6 +42,7 @@ pub(crate) fn launch_in(folder: &Path, iterations: u64) -> Launch {
         manifest: json!({"program": "test"}),
         resume: false,
         start: None,
+        evaluations: None,
     }
 }
 

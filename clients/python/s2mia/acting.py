@@ -7,16 +7,13 @@ import abc
 import dataclasses
 import difflib
 from collections.abc import Mapping
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from s2mia.closing import Closing
 from s2mia.values import AgentSpec, Numbers, numbers
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +46,7 @@ class Description:
     """Of a team that comes with the package: return, seed, commit and hashes of its run."""
 
 
-class Acting(abc.ABC):
+class Acting(Closing):
     """A trained team in `E` environments, with the agents' recurrent states. A context manager."""
 
     description: Description
@@ -117,14 +114,6 @@ class Acting(abc.ABC):
     @abc.abstractmethod
     def close(self) -> None:
         """Closes the connection of a served team, which then acts no more. A loaded team has none, and still acts."""
-
-    def __enter__(self) -> "Self":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @abc.abstractmethod
     def _begin(self, environments: int) -> None:

@@ -2,15 +2,12 @@
 
 import dataclasses
 from collections.abc import Iterator
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from s2mia import wire
+from s2mia.closing import Closing
 from s2mia.connection import Connection, Tls
 from s2mia.name import printable
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +85,7 @@ def _fields(kind: type[Any], message: Any) -> dict[str, Any]:
     return {field.name: _field(message, field.name) for field in dataclasses.fields(kind)}
 
 
-class Client:
+class Client(Closing):
     """A connection to a learner. No call changes the results of training."""
 
     def __init__(
@@ -151,11 +148,3 @@ class Client:
     def close(self) -> None:
         """Closes the connection."""
         self._connection.close()
-
-    def __enter__(self) -> "Self":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

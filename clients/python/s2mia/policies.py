@@ -39,13 +39,13 @@ class Policies(Acting):
 
 
 def load(
-    run: str | os.PathLike[str], seed: int | None = None, *, checkpoint: str | int | None = None
+    run: str | os.PathLike[str], seed: int | None = None, *, checkpoint: str | int | os.PathLike[str] | None = None
 ) -> Policies:
     """Loads the policies of a run's newest checkpoint, or of a checkpoint's folder.
 
-    `checkpoint` is that of an iteration, or `"best"`, the one with the best evaluation. Actions are means or likeliest
-    choices; with a `seed`, they are sampled, and equal those of a served team with that seed. Raises `RunError` if there
-    is no valid checkpoint.
+    `checkpoint` is that of an iteration, one by its folder, or `"best"`, the one with the best evaluation. Actions are
+    means or likeliest choices; with a `seed`, they are sampled, and equal those of a served team with that seed. Raises
+    `RunError` if there is no valid checkpoint.
     """
     which = None if checkpoint is None else str(checkpoint)
     return _made(lambda own: Native(os.fspath(run), own, which), seed)

@@ -1,6 +1,8 @@
 //! Schedules evaluations and stores the outstanding one in checkpoints. At most one evaluation is outstanding; its
 //! result does not affect training.
 
+use std::collections::BTreeMap;
+
 use bytes::Bytes;
 use policy::arrays::{Array, NamedArrays};
 
@@ -20,7 +22,12 @@ pub struct Evaluations {
     latest: Option<Evaluated>,
     /// The results that are in the metrics.
     measured: Returns,
+    /// Replaces the schedule and the number of episodes.
+    planned: Option<PlannedEvaluations>,
 }
+
+/// Number of episodes of each evaluation, by the iteration of the evaluated policies.
+pub type PlannedEvaluations = BTreeMap<u64, u32>;
 
 /// Policies whose evaluation has begun.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,13 +48,27 @@ impl Evaluations {
         last_iteration: u64,
         measured: Returns,
     ) -> Self {
-        Self { config, steps_per_iteration, last_iteration, latest: None, measured }
+        let (latest, planned) = (None, None);
+        Self { config, steps_per_iteration, last_iteration, latest, measured, planned }
     }
 
-    /// Number of episodes of one evaluation.
+    /// The same with exactly these evaluations, if any are planned.
     #[must_use]
-    pub fn episodes(&self) -> u32 {
-        self.config.episodes
+    pub fn with(self, planned: Option<PlannedEvaluations>) -> Self {
+        Self { planned, ..self }
+    }
+
+    /// Number of episodes of the evaluation of an iteration.
+    #[must_use]
+    pub fn episodes(&self, iteration: u64) -> u32 {
+        let planned = self.planned.as_ref().and_then(|planned| planned.get(&iteration));
+        planned.copied().unwrap_or(self.config.episodes)
+    }
+
+    /// Whether there are evaluations of the policies after `iteration` iterations at all.
+    fn includes(&self, iteration: u64) -> bool {
+        let usual = self.config.every_steps > 0;
+        self.planned.as_ref().map_or(usual, |planned| planned.contains_key(&iteration))
     }
 
     /// Whether an evaluation of the policies after `iteration` iterations is due and has not begun. It is due at the
@@ -55,8 +76,11 @@ impl Evaluations {
     #[must_use]
     pub fn due(&self, iteration: u64) -> bool {
         let begun = self.latest.as_ref().is_some_and(|latest| latest.iteration == iteration);
-        if self.config.every_steps == 0 || begun || self.measured.contains_key(&iteration) {
+        if !self.includes(iteration) || begun || self.measured.contains_key(&iteration) {
             return false;
+        }
+        if self.planned.is_some() {
+            return true;
         }
         let passed =
             |iteration: u64| iteration * self.steps_per_iteration / self.config.every_steps;
@@ -69,7 +93,7 @@ impl Evaluations {
     #[must_use]
     pub fn outstanding(&self) -> Option<&Evaluated> {
         let pending = |latest: &&Evaluated| {
-            self.config.every_steps > 0 && !self.measured.contains_key(&latest.iteration)
+            self.includes(latest.iteration) && !self.measured.contains_key(&latest.iteration)
         };
         self.latest.as_ref().filter(pending)
     }
@@ -134,5 +158,16 @@ mod tests {
         all.begin(Evaluated { iteration: 13, policy: Bytes::new() });
         assert!(!all.due(13));
         assert_eq!((0..=30).filter(|iteration| evaluations(0).due(*iteration)).count(), 0);
+    }
+
+    #[test]
+    fn planned_evaluations_replace_the_schedule() {
+        let mut planned = evaluations(0).with(Some([(3, 5), (7, 2)].into()));
+        assert_eq!((0..=30).filter(|it| planned.due(*it)).collect::<Vec<_>>(), [3, 7]);
+        assert_eq!((planned.episodes(3), planned.episodes(7)), (5, 2));
+        planned.begin(Evaluated { iteration: 7, policy: Bytes::new() });
+        assert!(planned.outstanding().is_some());
+        planned.begin(Evaluated { iteration: 8, policy: Bytes::new() });
+        assert!(planned.outstanding().is_none(), "a checkpoint's own one that is not planned");
     }
 }

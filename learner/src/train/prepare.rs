@@ -109,7 +109,8 @@ fn build(
             environments.steps_per_iteration(),
             launch.iterations,
             measured,
-        ),
+        )
+        .with(launch.evaluations.clone()),
         policy: policy_bytes(algorithm.as_ref(), &observations)?,
         observations,
         algorithm,

@@ -287,7 +287,8 @@ impl RunningTrainer {
         let exchange = &self.outside.exchange;
         // The exchange drops weights that no open work names, so they are published again.
         exchange.publish(version, evaluated.policy.clone())?;
-        exchange.open_evaluation(evaluated.iteration, version, self.trainer.evaluations.episodes());
+        let episodes = self.trainer.evaluations.episodes(evaluated.iteration);
+        exchange.open_evaluation(evaluated.iteration, version, episodes);
         Ok(())
     }
 

@@ -18,15 +18,6 @@ const INCIDENTAL: [&str; 10] = [
     "checkpoints_failed",
 ];
 
-/// Fields of an evaluation with the settings that made it, which a resume may change. Earlier programs did not write `sampled`.
-const EVALUATION_SETTINGS: [&str; 2] = ["episodes", "sampled"];
-
-/// Whether the settings of an evaluation, as far as they are recorded, are not those of another one.
-pub(super) fn has_other_settings(recorded: &Value, found: &Value) -> bool {
-    let differs = |field: &&str| !recorded[field].is_null() && recorded[field] != found[field];
-    EVALUATION_SETTINGS.iter().any(differs)
-}
-
 /// Compares the lines of an iteration in a file, but for what is incidental.
 pub(super) fn same(
     file: &str,
@@ -38,6 +29,7 @@ pub(super) fn same(
     let fields = lines.iter().filter_map(Value::as_object).flat_map(|line| line.keys());
     let mut relevant = fields.filter(|field| !INCIDENTAL.contains(&field.as_str()));
     let is_same = |field: &str| {
+        // Earlier programs did not record it.
         let is_unknown = field == "sampled" && old[field].is_null();
         is_unknown || old[field] == new[field]
     };
@@ -74,18 +66,5 @@ mod tests {
         let difference = "iteration 3 has more 1, metrics.jsonl has null";
         assert_eq!(compared("more", json!(1)), Err(difference.to_owned()));
         assert_eq!(compared("sampled", json!(false)), Ok(()), "not recorded");
-    }
-
-    #[test]
-    fn evaluations_have_the_same_settings_unless_a_recorded_one_differs() {
-        let found = json!({"episodes": 10, "sampled": false, "mean": 1.0});
-        for (recorded, other) in [
-            (json!({"episodes": 10, "sampled": false, "mean": 2.0}), false),
-            (json!({"episodes": 10}), false),
-            (json!({"episodes": 3, "sampled": false}), true),
-            (json!({"episodes": 10, "sampled": true}), true),
-        ] {
-            assert_eq!(has_other_settings(&recorded, &found), other, "{recorded}");
-        }
     }
 }
