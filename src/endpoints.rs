@@ -41,7 +41,7 @@ pub(crate) fn demand_loopback(
 /// The address of `--listen` and the certificates that it requires.
 pub(crate) struct Listening {
     address: SocketAddr,
-    tls: Option<ServerTls>,
+    pub(crate) tls: Option<ServerTls>,
 }
 
 impl Listening {
@@ -55,11 +55,6 @@ impl Listening {
             demand_loopback("--listen", address, permission)?;
         }
         Ok(Self { address, tls })
-    }
-
-    /// The certificates, if there are any.
-    pub(crate) fn tls(&self) -> Option<&ServerTls> {
-        self.tls.as_ref()
     }
 
     /// Binds the address; returns the listener and its URL.
@@ -224,7 +219,7 @@ pub(crate) struct ServerTlsArguments {
 pub(crate) struct ClientTlsArguments {
     /// Certificate authority that signed the learner's certificate (PEM); required for an https:// URL.
     #[arg(long, value_name = "FILE", requires_all = ["tls_certificate", "tls_key"])]
-    tls_ca: Option<PathBuf>,
+    pub(crate) tls_ca: Option<PathBuf>,
     /// This client's certificate (PEM, followed by its chain); its role defines which requests are permitted.
     #[arg(long, value_name = "FILE", requires = "tls_ca")]
     tls_certificate: Option<PathBuf>,
@@ -252,11 +247,6 @@ impl ServerTlsArguments {
 }
 
 impl ClientTlsArguments {
-    /// Whether the arguments name TLS files.
-    pub(crate) fn are_given(&self) -> bool {
-        self.tls_ca.is_some()
-    }
-
     /// Reads the TLS files, if the arguments name them.
     ///
     /// # Errors
@@ -274,7 +264,7 @@ impl ClientTlsArguments {
 /// # Errors
 /// The scheme of `url` and the arguments disagree, or a file is invalid.
 pub(crate) fn credentials(url: &str, tls: &ClientTlsArguments) -> Result<Option<ClientTls>, Usage> {
-    match (tls.are_given(), url.starts_with("https://")) {
+    match (tls.tls_ca.is_some(), url.starts_with("https://")) {
         (false, true) => Err(Usage::new(format!(
             "{url}: https:// needs --tls-ca, --tls-certificate and --tls-key"
         ))),

@@ -16,7 +16,7 @@ use proto::wire::learner_service_server::{LearnerService, LearnerServiceServer};
 use proto::wire::push_trajectory_request::Content;
 use proto::{
     Ack, AckState, ActorId, Digest, HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId,
-    PolicyVersion, PushHeader, Registered, RunDescription, RunState, WeightsName, Work, wire,
+    PolicyVersion, PushHeader, Registered, RunDescription, WeightsName, Work, wire,
 };
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -168,7 +168,7 @@ impl LearnerService for Withholding {
         &self,
         _: Request<wire::HeartbeatRequest>,
     ) -> Result<Response<wire::HeartbeatResponse>, Status> {
-        let answer = HeartbeatAnswer { run_state: RunState::Running, lease_valid: true };
+        let answer = HeartbeatAnswer { lease_valid: true, is_over: false };
         Ok(Response::new(answer.to_wire()))
     }
 }

@@ -103,7 +103,7 @@ pub(crate) fn through_the_exchange(
 fn act(exchange: &Exchange, connection: ConnectionId, settings: &CaseSettings) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
     let runtime = runtime.expect("a runtime without sockets can be built");
-    let run = exchange.run().clone();
+    let run = exchange.run.clone();
     let own = exchange.register(connection, &registration(&run)).expect("it is this program");
     let mut world = settings.world(per_slot(settings)).expect("the task is known");
     loop {
@@ -146,7 +146,7 @@ fn perform(
         // The backup of a slot that another actor has finished is refused.
         match exchange.expected(connection, &header, Some(chunk.sequence)) {
             Ok(Preview::Next(check))
-                if check.chunk(&chunk, work, run, exchange.states()).is_ok()
+                if check.chunk(&chunk, work, run, &exchange.states).is_ok()
                     && exchange
                         .take(connection, &header, &check, ResultPart::Chunk(chunk))
                         .is_ok() =>

@@ -5,4 +5,3 @@ pub mod health;
 pub mod listener;
 pub mod page;
 pub mod service;
-pub(crate) mod token;

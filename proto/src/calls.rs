@@ -314,35 +314,20 @@ impl Heartbeat {
     }
 }
 
-/// State of the run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RunState {
-    /// More work follows.
-    Running,
-    /// The run is over.
-    Done,
-    /// The learner is about to stop.
-    Draining,
-}
-
 /// Answers a heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeartbeatAnswer {
     /// If false: discard the work and request a new lease.
     pub lease_valid: bool,
-    /// State of the run.
-    pub run_state: RunState,
+    /// Whether the run is over.
+    pub is_over: bool,
 }
 
 impl HeartbeatAnswer {
     /// Converts to the message.
     #[must_use]
     pub fn to_wire(&self) -> wire::HeartbeatResponse {
-        let state = match self.run_state {
-            RunState::Running => wire::RunState::Running,
-            RunState::Done => wire::RunState::Done,
-            RunState::Draining => wire::RunState::Draining,
-        };
+        let state = if self.is_over { wire::RunState::Done } else { wire::RunState::Running };
         wire::HeartbeatResponse { lease_valid: self.lease_valid, run_state: state.into() }
     }
 
@@ -351,12 +336,11 @@ impl HeartbeatAnswer {
     /// # Errors
     /// If the run state is unknown.
     pub fn from_wire(wire: &wire::HeartbeatResponse) -> Result<Self, Refusal> {
-        let run_state = match wire::RunState::try_from(wire.run_state) {
-            Ok(wire::RunState::Running) => RunState::Running,
-            Ok(wire::RunState::Done) => RunState::Done,
-            Ok(wire::RunState::Draining) => RunState::Draining,
+        let is_over = match wire::RunState::try_from(wire.run_state) {
+            Ok(wire::RunState::Running | wire::RunState::Draining) => false,
+            Ok(wire::RunState::Done) => true,
             _ => return Err(unknown("run_state", wire.run_state)),
         };
-        Ok(Self { lease_valid: wire.lease_valid, run_state })
+        Ok(Self { lease_valid: wire.lease_valid, is_over })
     }
 }

@@ -123,12 +123,6 @@ impl EnvironmentSpec {
         Digest::of(&self.to_wire().encode_to_vec())
     }
 
-    /// Size of its message, bytes.
-    #[must_use]
-    pub fn message_bytes(&self) -> usize {
-        self.to_wire().encoded_len()
-    }
-
     /// Rejects names that cannot be shown, sizes of 0, indices outside the global state, and invalid actions.
     pub(crate) fn check(&self, field: &str) -> Result<(), Refusal> {
         short_name(&self.task, &format!("{field}.task"))?;

@@ -88,7 +88,7 @@ impl Observations<'_> {
         let first = self.tensors.first().filter(|first| !is_left_out(first));
         let first = first.map(|first| (**first).clone());
         let source_field = if first.is_some() { field(0) } else { state_field.to_owned() };
-        for (i, tensor) in self.tensors.iter_mut().enumerate().take(self.sizes.agents()) {
+        for (i, tensor) in self.tensors.iter_mut().enumerate().take(self.sizes.agents) {
             if !is_left_out(tensor) {
                 continue;
             }

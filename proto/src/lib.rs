@@ -35,7 +35,6 @@ pub use acting::{ActStep, Acted, ActionChoice};
 pub use authorization::{AUTHORIZATION, Authorization};
 pub use calls::{
     Ack, AckState, Heartbeat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,
-    RunState,
 };
 pub use digest::Digest;
 pub use environment::{
@@ -68,8 +67,6 @@ pub const PROTOCOL_VERSION: u32 = 5;
 pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
 /// Largest answer with the description of a run, bytes: it has the task's model twice, of 4 MiB at most.
 pub const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
-/// Largest part of a policy snapshot in one message, bytes.
-pub const MAX_WEIGHTS_PIECE_BYTES: usize = 1 << 20;
 /// Maximum number of unacknowledged messages of one stream.
 pub const MAX_UNACKNOWLEDGED: usize = 4;
 /// Longest time that the learner waits before it answers a lease request, milliseconds.

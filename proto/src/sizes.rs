@@ -8,6 +8,7 @@ pub(crate) struct Sizes<'a> {
     pub(crate) run: &'a RunDescription,
     pub(crate) steps: usize,
     pub(crate) environments: usize,
+    pub(crate) agents: usize,
     pub(crate) state: usize,
 }
 
@@ -17,12 +18,9 @@ impl<'a> Sizes<'a> {
             run,
             steps: run.chunk_steps as usize,
             environments: origin.environments.len(),
+            agents: run.environment.agents.len(),
             state: run.environment.state.len(),
         }
-    }
-
-    pub(crate) fn agents(&self) -> usize {
-        self.run.environment.agents.len()
     }
 
     pub(crate) fn observation(&self, agent: usize) -> usize {

@@ -98,7 +98,7 @@ impl TrajectoryChunk {
     ) -> (wire::TrajectoryChunk, Digest) {
         let sizes = Sizes::of(run, origin);
         let (t, e) = (sizes.steps, sizes.environments);
-        assert_eq!(self.agents.len(), sizes.agents(), "the chunk's agents are not the run's");
+        assert_eq!(self.agents.len(), sizes.agents, "the chunk's agents are not the run's");
         assert_eq!(self.reward.len(), t * e, "the chunk's rewards are not [{t}, {e}]");
         let mut message = self.message(run.hidden_every);
         let digest = digest::of_chunk(&message, origin);

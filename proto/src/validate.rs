@@ -95,7 +95,7 @@ fn read_chunk(
     last: Last,
 ) -> Result<TrajectoryChunk, Refusal> {
     let rows = [sizes.steps, sizes.environments];
-    length(wire.agents.len(), sizes.agents(), "chunk.agents")?;
+    length(wire.agents.len(), sizes.agents, "chunk.agents")?;
     let agents = wire.agents.iter().enumerate().map(|(i, agent)| read_agent(agent, sizes, i));
     let states = [rows[0], rows[1], sizes.state];
     Ok(TrajectoryChunk {
@@ -141,7 +141,7 @@ fn read_finals(
     from_1_to(most, count, "entries", "chunk.finals.steps")?;
     length(wire.environments.len(), count, "chunk.finals.environments")?;
     let state = read_floats(wire.state.as_ref(), &[count, sizes.state], "chunk.finals.state")?;
-    length(wire.observations.len(), sizes.agents(), "chunk.finals.observations")?;
+    length(wire.observations.len(), sizes.agents, "chunk.finals.observations")?;
     let observations = wire.observations.iter().enumerate().map(|(i, tensor)| {
         let field = format!("chunk.finals.observations[{i}]");
         read_floats(Some(tensor), &[count, sizes.observation(i)], &field)
@@ -173,7 +173,7 @@ fn read_end(
     for (i, state) in wire.environments.iter().enumerate() {
         state_size(state.len(), sizes.run, &format!("chunk.end.environments[{i}]"))?;
     }
-    length(wire.recurrent.len(), sizes.agents(), "chunk.end.recurrent")?;
+    length(wire.recurrent.len(), sizes.agents, "chunk.end.recurrent")?;
     let recurrent = wire.recurrent.iter().enumerate().map(|(i, tensor)| {
         let shape = [sizes.environments, sizes.hidden(i)];
         read_floats(Some(tensor), &shape, &format!("chunk.end.recurrent[{i}]"))

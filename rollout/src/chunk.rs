@@ -18,14 +18,8 @@ impl ChunkBuilder {
         let chunk = TrajectoryChunk {
             sequence,
             first_step,
-            steps: 0,
             agents: vec![AgentChunk::default(); description.agents.len()],
-            state: Vec::new(),
-            reward: Vec::new(),
-            terminated: Vec::new(),
-            truncated: Vec::new(),
-            finals: Vec::new(),
-            end: None,
+            ..TrajectoryChunk::default()
         };
         Self { chunk }
     }

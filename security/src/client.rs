@@ -36,8 +36,9 @@ impl ClientTls {
         server_name: Option<String>,
     ) -> Result<Self, SecurityError> {
         if let Some(name) = &server_name {
-            ServerName::try_from(name.as_str())
-                .map_err(|_| SecurityError::NoName { name: name.clone() })?;
+            ServerName::try_from(name.as_str()).map_err(|_| {
+                SecurityError(format!("`{name}` is neither a host name nor an IP address"))
+            })?;
         }
         let now = UnixTime::now();
         let trusted = read(authority)?;

@@ -99,5 +99,5 @@ fn params(name: &str, from: SystemTime, duration: Duration) -> CertificateParams
 }
 
 fn unmakeable(error: rcgen::Error) -> SecurityError {
-    SecurityError::Unmakeable(error.to_string())
+    SecurityError(format!("cannot make a certificate: {error}"))
 }

@@ -30,10 +30,8 @@ pub(crate) fn provider() -> CryptoProvider {
 }
 
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SecurityError> {
-    std::fs::read(path).map_err(|error| SecurityError::Unreadable {
-        path: path.to_path_buf(),
-        why: error.to_string(),
-    })
+    std::fs::read(path)
+        .map_err(|error| SecurityError(format!("cannot read {}: {error}", path.display())))
 }
 
 /// The certificates in `pem`, which was read from `path`: at least one.
@@ -54,16 +52,17 @@ fn demand_validity(
     })?;
     // The period is checked first. There are no authorities, so the verification fails afterwards in any case.
     let verified = parsed.verify_for_usage(&[], &[], &[], now, KeyUsage::client_auth(), None, None);
-    let path = path.to_path_buf();
-    match verified.err() {
+    let period = match verified.err() {
         Some(webpki::Error::CertExpired { not_after, .. }) => {
-            Err(SecurityError::Expired { path, at: in_utc(not_after), now: in_utc(now) })
+            format!("expired at {}", in_utc(not_after))
         }
         Some(webpki::Error::CertNotValidYet { not_before, .. }) => {
-            Err(SecurityError::NotYetValid { path, at: in_utc(not_before), now: in_utc(now) })
+            format!("is valid from {} only", in_utc(not_before))
         }
-        _ => Ok(()),
-    }
+        _ => return Ok(()),
+    };
+    let (path, now) = (path.display(), in_utc(now));
+    Err(SecurityError(format!("the certificate {path} {period} (it is {now})")))
 }
 
 /// A time as `2001-09-09 01:46:40 UTC`.
@@ -113,20 +112,21 @@ pub(crate) fn certified_key(
     let key =
         PrivateKeyDer::from_pem_slice(key_pem).map_err(|_| not_pem(&files.key, PRIVATE_KEY))?;
     CertifiedKey::from_der(chain, key, &provider()).map_err(|error| match error {
-        Error::InconsistentKeys(_) => SecurityError::OtherKey {
-            certificate: files.certificate.clone(),
-            key: files.key.clone(),
-        },
+        Error::InconsistentKeys(_) => {
+            let (key, certificate) = (files.key.display(), files.certificate.display());
+            let why = format!("the private key {key} does not fit the certificate {certificate}");
+            SecurityError(why)
+        }
         error => unusable(&files.key, PRIVATE_KEY, error.to_string()),
     })
 }
 
-fn not_pem(path: &Path, expected: &'static str) -> SecurityError {
-    SecurityError::NotPem { path: path.to_path_buf(), expected }
+fn not_pem(path: &Path, expected: &str) -> SecurityError {
+    SecurityError(format!("{} holds no {expected} in PEM form", path.display()))
 }
 
-pub(crate) fn unusable(path: &Path, what: &'static str, why: String) -> SecurityError {
-    SecurityError::Unusable { path: path.to_path_buf(), what, why }
+pub(crate) fn unusable(path: &Path, what: &str, why: String) -> SecurityError {
+    SecurityError(format!("{} holds a {what} that cannot be used: {why}", path.display()))
 }
 
 #[cfg(test)]

@@ -27,7 +27,10 @@ impl Token {
     pub fn random() -> Result<Self, SecurityError> {
         let mut bytes = [0; BYTES];
         let filled = ring::default_provider().secure_random.fill(&mut bytes);
-        filled.map_err(|_| SecurityError::NoRandomness)?;
+        filled.map_err(|_| {
+            let why = "the operating system provides no randomness for the run's token";
+            SecurityError(why.to_owned())
+        })?;
         let digits = bytes.iter().fold(String::new(), |mut digits, byte| {
             // Writing to a string cannot fail.
             let _written = write!(digits, "{byte:02x}");
@@ -44,7 +47,12 @@ impl Token {
         let digits = text.trim();
         let valid =
             digits.len() == 2 * BYTES && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
-        if valid { Ok(Self(digits.to_owned())) } else { Err(SecurityError::NoToken) }
+        if valid {
+            return Ok(Self(digits.to_owned()));
+        }
+        let form =
+            "a token has 64 hexadecimal digits; copy it from the file `token` of the run folder";
+        Err(SecurityError(form.to_owned()))
     }
 
     /// The token as text, for its file and for an actor's environment.

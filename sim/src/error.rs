@@ -14,17 +14,9 @@ pub(crate) fn short<T: Copy + Display + LowerExp + Into<f64>>(number: T) -> Stri
 /// Why environments cannot be built, restored or stepped.
 #[derive(Debug, Error)]
 pub enum SimError {
-    /// The task is unknown.
-    #[error("there is no task `{asked}`; known tasks: {known}")]
-    UnknownTask {
-        /// Requested name.
-        asked: String,
-        /// All known names.
-        known: String,
-    },
-    /// A task file is invalid.
+    /// The task is unknown, its file is invalid, or it does not support the settings; in words.
     #[error("{0}")]
-    TaskFile(String),
+    Task(String),
     /// The slot has no environments.
     #[error("a slot needs at least one environment, got 0")]
     NoEnvironments,
@@ -35,14 +27,6 @@ pub enum SimError {
         robot: String,
         /// The element and the reason.
         reason: String,
-    },
-    /// The game does not support these observation settings.
-    #[error(
-        "{task} has unscaled features only: set observation.mode=full_id and observation.norm=none"
-    )]
-    OnlyPlain {
-        /// The task.
-        task: &'static str,
     },
     /// An encoded state is invalid.
     #[error("invalid environment state: {0}")]

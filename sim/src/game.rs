@@ -84,7 +84,9 @@ impl<G: Game> GameEnvironments<G> {
     pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
         let (mode, norm) = (config.observation.mode, config.observation.norm);
         if (mode, norm) != (ObservationMode::FullId, ObservationNorm::None) {
-            return Err(SimError::OnlyPlain { task: G::NAME });
+            let settings = "set observation.mode=full_id and observation.norm=none";
+            let why = format!("{} has unscaled features only: {settings}", G::NAME);
+            return Err(SimError::Task(why));
         }
         if count == 0 {
             return Err(SimError::NoEnvironments);

@@ -120,7 +120,8 @@ impl TaskConfig {
 /// Finds the file of a task that is part of the program.
 fn shipped(name: &str) -> Result<&'static (TaskFile, &'static str), SimError> {
     let found = FILES.iter().find(|(file, _)| file.task_names().any(|task| task == name));
-    found.ok_or_else(|| SimError::UnknownTask { asked: name.to_owned(), known: NAMES.join(", ") })
+    let known = || NAMES.join(", ");
+    found.ok_or_else(|| refused(format!("there is no task `{name}`; known tasks: {}", known())))
 }
 
 impl Robot {

@@ -60,7 +60,7 @@ pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
 /// Where the learner listens; `None` for the folder of a run on which none works.
 pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     let of = &learner.of;
-    let scheme = if learner.tls.are_given() { "https" } else { "http" };
+    let scheme = if learner.tls.tls_ca.is_some() { "https" } else { "http" };
     let with_scheme = |address: &str| {
         if address.contains("://") { address.to_owned() } else { format!("{scheme}://{address}") }
     };

@@ -45,7 +45,7 @@ pub(crate) struct LearnerArguments {
 /// Serves until the run is done or a stop signal; the newest state is then in a checkpoint.
 pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
-    let page_tls = listening.tls().filter(|_| arguments.page_tls).map(ServerTls::for_page);
+    let page_tls = listening.tls.as_ref().filter(|_| arguments.page_tls).map(ServerTls::for_page);
     arguments.page.check(page_tls.as_ref())?;
     let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
     // Before the launch, which takes a moment, so that a stop is never lost.

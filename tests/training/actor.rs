@@ -42,7 +42,7 @@ impl ActorThreads {
 }
 
 fn work(exchange: &Exchange, connection: ConnectionId, stop: &AtomicBool) {
-    let run = exchange.run().clone();
+    let run = exchange.run.clone();
     let own = exchange.register(connection, &registration(&run)).unwrap();
     while !stop.load(Ordering::Relaxed) {
         match ask(exchange, connection, own, Duration::from_millis(50)) {
@@ -112,6 +112,6 @@ pub(crate) fn push(
         Preview::Next(check) => check,
     };
     let Work::Rollout(slot) = &*check.assignment.work else { panic!("{check:?} is of an episode") };
-    check.chunk(&chunk, slot, exchange.run(), exchange.states())?;
+    check.chunk(&chunk, slot, &exchange.run, &exchange.states)?;
     exchange.take(connection, header, &check, ResultPart::Chunk(chunk))
 }

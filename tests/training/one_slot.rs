@@ -57,7 +57,7 @@ pub(crate) fn exchange(run: RunDescription, policy: &PolicySnapshot) -> Arc<Exch
 
 /// Registers an actor on a connection and leases the slot to it.
 pub(crate) fn lease(exchange: &Exchange, connection: ConnectionId) -> Lease {
-    let own = exchange.register(connection, &registration(exchange.run())).unwrap();
+    let own = exchange.register(connection, &registration(&exchange.run)).unwrap();
     match ask(exchange, connection, own, Duration::ZERO) {
         LeaseAnswer::Lease(lease) => lease,
         other => panic!("expected a lease, got {other:?}"),

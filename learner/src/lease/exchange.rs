@@ -38,7 +38,8 @@ const RETRY: Duration = Duration::from_millis(100);
 /// Connects the service to the trainer.
 #[derive(Debug)]
 pub struct Exchange {
-    run: RunDescription,
+    /// What the run is about.
+    pub run: RunDescription,
     begun: Instant,
     /// A blocking lock: calls from tokio tasks and from the trainer's thread hold it for microseconds and never
     /// across an await. Where the snapshot is written under it, this lock is taken first.
@@ -50,7 +51,8 @@ pub struct Exchange {
     storage: watch::Sender<Storage>,
     /// Whether a client asked the run to end, as a signal does.
     stop_requested: AtomicBool,
-    states: StateReader,
+    /// Decodes the states of the run's environments.
+    pub states: StateReader,
     /// Chunks that are checked whole although no check has failed, by lease and sequence.
     checked: SecretSample,
     /// Shared with readers, who then hold no lock; it is copied if a reader still has it when it changes.
@@ -124,18 +126,6 @@ impl Exchange {
     #[must_use]
     pub fn is_stop_requested(&self) -> bool {
         self.stop_requested.load(Ordering::Relaxed)
-    }
-
-    /// What the run is about.
-    #[must_use]
-    pub fn run(&self) -> &RunDescription {
-        &self.run
-    }
-
-    /// Decodes the states of the run's environments.
-    #[must_use]
-    pub fn states(&self) -> &StateReader {
-        &self.states
     }
 
     // What the trainer does.
@@ -302,9 +292,9 @@ impl Exchange {
         sender: ConnectionId,
         beat: &Heartbeat,
     ) -> Result<HeartbeatAnswer, Refusal> {
-        let (lease_valid, run_state) =
-            self.change(|shared| (shared.table.heartbeat(sender, beat), shared.table.state()));
-        Ok(HeartbeatAnswer { lease_valid: lease_valid?, run_state })
+        let (lease_valid, is_over) =
+            self.change(|shared| (shared.table.heartbeat(sender, beat), shared.table.is_over()));
+        Ok(HeartbeatAnswer { lease_valid: lease_valid?, is_over })
     }
 
     /// The weights with this name.

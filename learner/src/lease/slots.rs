@@ -18,7 +18,7 @@ use std::time::Duration;
 
 use proto::{
     ActorId, Heartbeat, Incarnation, Lease, LeaseId, LeaseStatus, ProcessId, Reason, Refusal,
-    RolloutWork, RunState, WeightsName, Work,
+    RolloutWork, WeightsName, Work,
 };
 
 mod actors;
@@ -197,10 +197,10 @@ impl SlotTable {
         self.effects.push(Effect::WorkFreed);
     }
 
-    /// What the run is doing.
+    /// Whether the run is over.
     #[must_use]
-    pub fn state(&self) -> RunState {
-        if self.over { RunState::Done } else { RunState::Running }
+    pub fn is_over(&self) -> bool {
+        self.over
     }
 
     /// Admits an actor that registered on `connection`. One connection carries 16 at most: past that, the

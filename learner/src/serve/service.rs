@@ -77,7 +77,7 @@ pub async fn serve(
     let on_close = Arc::new(move |id| closed_on.disconnect(id));
     let incoming = connections::accept(listener, most_with_actors, on_close);
     let storage = exchange.storage();
-    let environment_bytes = exchange.run().environment.message_bytes();
+    let environment_bytes = proto::wire_bytes(&exchange.run.environment.to_wire());
     let control = ControlServiceServer::new(Control { exchange: Arc::clone(&exchange) });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let learner = Learner { exchange, checks: Arc::new(Semaphore::new(cores)) };
@@ -141,7 +141,7 @@ impl LearnerService for Learner {
         &self,
         _request: Request<wire::DescribeRunRequest>,
     ) -> Result<Response<wire::DescribeRunResponse>, Status> {
-        let run = Some(self.exchange.run().to_wire());
+        let run = Some(self.exchange.run.to_wire());
         Ok(Response::new(wire::DescribeRunResponse { run }))
     }
 

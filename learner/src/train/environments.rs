@@ -31,8 +31,8 @@ pub struct Environments {
     finished: Vec<u64>,
     recent: VecDeque<f64>,
     episode_steps: u32,
-    /// Episodes of the last iteration that were truncated before their limit.
-    faults: u64,
+    /// Episodes of the last iteration that were truncated before their limit by a fault of their environment.
+    pub(crate) faults: u64,
 }
 
 impl Environments {
@@ -132,12 +132,6 @@ impl Environments {
             0 => self.limits[environment],
             _ => self.episode_steps,
         }
-    }
-
-    /// Episodes of the last iteration that were truncated before their limit by a fault of their environment.
-    #[must_use]
-    pub fn faults(&self) -> u64 {
-        self.faults
     }
 
     fn finish_episode(&mut self, environment: usize) {

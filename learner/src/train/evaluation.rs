@@ -21,7 +21,7 @@ pub struct Evaluations {
     last_iteration: u64,
     latest: Option<Evaluated>,
     /// The results that are in the metrics.
-    measured: Returns,
+    pub(crate) measured: Returns,
     /// Replaces the schedule and the number of episodes.
     planned: Option<PlannedEvaluations>,
 }
@@ -106,12 +106,6 @@ impl Evaluations {
     /// Ends the evaluation of `iteration`, whose mean return is in the metrics.
     pub fn end(&mut self, iteration: u64, mean_return: f64) {
         self.measured.insert(iteration, mean_return);
-    }
-
-    /// The results that are in the metrics.
-    #[must_use]
-    pub fn returns(&self) -> &Returns {
-        &self.measured
     }
 
     /// The latest evaluation as arrays under `evaluation/`, finished or not. Whether it is finished depends on timing

@@ -140,7 +140,7 @@ impl RunningTrainer {
             let Some(collected) = collected else { break };
             self.enter(Stage::Update);
             fail_points::abort_at("after-collect", self.trainer.iteration);
-            let batch = assemble(self.outside.exchange.run(), &collected.rollouts);
+            let batch = assemble(&self.outside.exchange.run, &collected.rollouts);
             self.trainer.environments.advance(&batch, &collected.rollouts);
             let update = self.trainer.update(&batch)?;
             self.trainer.iteration += 1;
@@ -209,7 +209,7 @@ impl RunningTrainer {
     fn slot_size(&self) -> usize {
         let exchange = &self.outside.exchange;
         let threads = exchange.threads();
-        let most = exchange.run().environments_per_slot as usize;
+        let most = exchange.run.environments_per_slot as usize;
         self.trainer.launch.config.environments.slot_size(threads, most)
     }
 
@@ -223,8 +223,8 @@ impl RunningTrainer {
         let mut metrics = trainer.surprise.report();
         metrics.extend(update.report.iter().cloned());
         // An external environment may have its own time limit; reaching it is not a fault.
-        if !self.outside.exchange.run().task_settings.is_empty() {
-            metrics.push(("environment_faults".to_owned(), trainer.environments.faults() as f64));
+        if !self.outside.exchange.run.task_settings.is_empty() {
+            metrics.push(("environment_faults".to_owned(), trainer.environments.faults as f64));
         }
         metrics.push(("checkpoints_failed".to_owned(), trainer.failed_saves.into()));
         let report = IterationReport {

@@ -4,7 +4,7 @@ use proto::wire::push_trajectory_request::Content;
 use proto::{
     Ack, AckState, ActorId, Digest, EnvironmentStart, EvaluationResult, EvaluationWork, Heartbeat,
     HeartbeatAnswer, Incarnation, Lease, LeaseAnswer, LeaseId, PolicyVersion, PushHeader,
-    Registered, RolloutWork, RunDescription, RunState, Start, WeightsName, Work,
+    Registered, RolloutWork, RunDescription, Start, WeightsName, Work,
 };
 
 use crate::{received, sample, sent};
@@ -90,8 +90,8 @@ fn acknowledgements_and_signs_of_life_survive_the_round_trip() {
         slot_step: 4,
     };
     assert_eq!(Heartbeat::from_wire(&sent(&beat.to_wire())), beat);
-    for run_state in [RunState::Running, RunState::Done, RunState::Draining] {
-        let answer = HeartbeatAnswer { lease_valid: true, run_state };
+    for is_over in [false, true] {
+        let answer = HeartbeatAnswer { lease_valid: true, is_over };
         assert_eq!(HeartbeatAnswer::from_wire(&sent(&answer.to_wire())), Ok(answer));
     }
 }

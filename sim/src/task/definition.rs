@@ -309,7 +309,7 @@ fn check_physics(physics: &Physics) -> Result<(), SimError> {
 
 /// An error of the task file.
 pub(super) fn refused(why: impl Into<String>) -> SimError {
-    SimError::TaskFile(why.into())
+    SimError::Task(why.into())
 }
 
 /// Refuses a list with an entry twice.

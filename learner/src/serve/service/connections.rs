@@ -22,8 +22,7 @@ use super::registry::{Admission, OF_ONE_ADDRESS, Registry};
 use crate::lease::exchange::Caller;
 use crate::lease::slots::ConnectionId;
 use crate::serve::accepting::Accepting;
-use crate::serve::listener::Listener;
-use crate::serve::token::RequiredToken;
+use crate::serve::listener::{Listener, RequiredToken};
 
 /// Most concurrent result streams of one connection. Four threads of an actor share one, each works on at most two leases
 /// at a time.

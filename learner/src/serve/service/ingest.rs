@@ -132,7 +132,7 @@ fn read(
         Preview::Next(check) => check,
     };
     // Not under the exchange's lock: this takes milliseconds.
-    let part = check.read(&content, header.digest, exchange.run(), exchange.states())?;
+    let part = check.read(&content, header.digest, &exchange.run, &exchange.states)?;
     let filmed = match (&part, film) {
         (ResultPart::Episode(result), Some(film)) => Some((*result, film)),
         _ => None,
@@ -140,7 +140,7 @@ fn read(
     let ack = exchange.take(sender, &header, &check, part)?;
     if let Some((result, film)) = filmed {
         // No result depends on a film, so an invalid film does not end the lease.
-        match Film::from_wire(&film, exchange.run()) {
+        match Film::from_wire(&film, &exchange.run) {
             Ok(film) => exchange.keep_film(&header, result, film),
             Err(why) => tracing::warn!(lease = %header.lease, "film ignored: {why}"),
         }

@@ -78,14 +78,14 @@ fn pieces(bytes: &Bytes, range: Range<usize>) -> impl Iterator<Item = Part> {
 
 #[cfg(test)]
 mod tests {
-    use proto::{Digest, MAX_WEIGHTS_PIECE_BYTES, PolicyVersion};
+    use proto::{Digest, PolicyVersion};
 
     use super::*;
 
     #[test]
     fn a_snapshot_is_split_into_equal_pieces_and_a_remainder_around_its_repeats() {
         let bytes = Bytes::from(vec![7; 2 * PIECE_BYTES + 5]);
-        const { assert!(PIECE_BYTES <= MAX_WEIGHTS_PIECE_BYTES) };
+        const { assert!(PIECE_BYTES <= 1 << 20, "the protocol's limit of a piece") };
         let name = WeightsName { version: PolicyVersion(3), digest: Digest::of(&bytes) };
         let sizes = |repeats: &[Repeat]| {
             let size = |part: &Part| match part {

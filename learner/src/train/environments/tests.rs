@@ -55,9 +55,9 @@ fn an_episode_truncated_before_its_limit_is_counted_as_a_fault() {
     // Limits 2 and 4: environment 0 reaches its limit with step 1; the end of environment 1 after step 0 is a fault.
     let mut environments = fresh(4, Phase::Staggered);
     environments.advance(&batch([0.0; 6], &[1, 2]), &[rollout()]);
-    assert_eq!(environments.faults(), 1);
+    assert_eq!(environments.faults, 1);
     environments.advance(&batch([0.0; 6], &[]), &[rollout()]);
-    assert_eq!(environments.faults(), 0);
+    assert_eq!(environments.faults, 0);
 }
 
 #[test]

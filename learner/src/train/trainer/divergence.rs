@@ -53,7 +53,7 @@ impl RunningTrainer {
             return;
         }
         let steps = trainer.launch.config.environments.steps_per_iteration();
-        let faults = (trainer.environments.faults(), steps);
+        let faults = (trainer.environments.faults, steps);
         match self.divergence.report(trainer.iteration, faults, remedy) {
             Some((Severity::Severe, line)) => tracing::error!("{line}"),
             Some((Severity::Some, line)) => tracing::warn!("{line}"),
