@@ -45,9 +45,10 @@ pub struct EnvironmentService {
     client: EnvironmentClient,
     /// Specification as the program describes it.
     offered: EnvironmentSpec,
-    states: States,
-    /// Specification for runs, with the encoded state of this module.
-    spec: EnvironmentSpec,
+    /// How episodes are restored.
+    pub states: States,
+    /// Specification that every actor of the run must provide, with the encoded state of this module.
+    pub spec: EnvironmentSpec,
 }
 
 impl EnvironmentService {
@@ -70,18 +71,6 @@ impl EnvironmentService {
     pub fn scaled(mut self, norm: ObservationNorm) -> Self {
         self.spec.feature_z = norm == ObservationNorm::FeatureZ;
         self
-    }
-
-    /// Specification that every actor of the run must provide.
-    #[must_use]
-    pub fn spec(&self) -> &EnvironmentSpec {
-        &self.spec
-    }
-
-    /// How episodes are restored.
-    #[must_use]
-    pub fn states(&self) -> States {
-        self.states
     }
 
     /// A function that decodes the states of these environments as far as the program is not needed: the header, and the

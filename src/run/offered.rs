@@ -86,7 +86,7 @@ fn demand_allowed(url: &str, transport: &Transport) -> Result<(), Usage> {
 }
 
 fn offered_by(service: &EnvironmentService) -> Offered {
-    let (spec, states) = (service.spec().clone(), service.states().name());
+    let (spec, states) = (service.spec.clone(), service.states.name());
     let description = spec.digest().to_string();
     let decode = service.state_decoder();
     let decoder = StateReader::new(move |state| decode(state).map_err(|error| error.to_string()));

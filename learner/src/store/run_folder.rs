@@ -51,18 +51,6 @@ pub enum RunFolderError {
     /// A file or folder could not be written or read.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A new run would overwrite another.
-    #[error("{path} holds a run already; resume it, or choose another folder")]
-    Taken {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// There is nothing to resume.
-    #[error("{path} holds no run to resume: it has no {MANIFEST}")]
-    NoRun {
-        /// The folder.
-        path: PathBuf,
-    },
     /// It is not where it was when it was claimed.
     #[error(
         "{path} was renamed, deleted or replaced while this run wrote to it; a resume of the folder, \
@@ -80,7 +68,7 @@ pub enum RunFolderError {
         /// What is wrong.
         detail: String,
     },
-    /// Another learner works on it, it is no place for a run, or the run has other settings.
+    /// It holds a run already or none, another learner works on it, it is no place for a run, or the run has other settings.
     #[error("{0}")]
     Other(String),
 }
@@ -105,7 +93,8 @@ impl RunFolder {
         // A process that was killed may have made the folder without waiting for the disk.
         durable::sync_name(path)?;
         if Self::holds_run(path) {
-            return Err(RunFolderError::Taken { path: path.to_path_buf() });
+            let why = "holds a run already; resume it, or choose another folder";
+            return Err(RunFolderError::Other(format!("{} {why}", path.display())));
         }
         Ok(folder)
     }
@@ -116,7 +105,8 @@ impl RunFolder {
     /// The folder holds no run or another one, is in use, or cannot be written.
     pub fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
         if !Self::holds_run(path) {
-            return Err(RunFolderError::NoRun { path: path.to_path_buf() });
+            let why = format!("holds no run to resume: it has no {MANIFEST}");
+            return Err(RunFolderError::Other(format!("{} {why}", path.display())));
         }
         let folder = Self::lock(path)?;
         folder.check_manifest(config_sha256)?;

@@ -1,7 +1,6 @@
 //! Reads a robot's blueprint from an MJCF document. Elements without a physical meaning are skipped; all others that
 //! cannot be built are errors with their line.
 
-mod activations;
 mod actuators;
 mod blockers;
 mod bodies;

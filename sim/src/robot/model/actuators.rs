@@ -6,7 +6,6 @@ use super::super::activation::{Activation, ActivationKind};
 use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan};
 use super::super::document::{Element, bounds};
-use super::activations;
 use super::context::Context;
 use super::joints;
 use super::links::Links;
@@ -93,7 +92,7 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
     if law.bias[2] > 0.0 && !has_one_axis {
         return Err(element.refuse("a damping ratio needs one axis of a ball joint; state `kv`"));
     }
-    let activation = activations::read(element, context)?;
+    let activation = activation(element, context)?;
     let range = control_range(element, &driven, (&law, activation.as_ref()), context)?;
     Ok(MotorPlan {
         name: String::new(),
@@ -251,4 +250,35 @@ fn law(element: &Element, context: &Context) -> Result<Law, String> {
     let bias = element.word("biastype", &[("none", [0.0; 3]), ("affine", [a, b, c])])?;
     let range = context.range(element, ["forcerange", "forcelimited"])?;
     Ok(Law { gain, bias, range: range.map(|range| range.map(|end| end as f32)) })
+}
+
+/// Reads the activation of an actuator; `None` if its gain multiplies the control.
+fn activation(element: &Element, context: &Context) -> Result<Option<Activation>, String> {
+    let range = context.range(element, ["actrange", "actlimited"])?;
+    let kinds = [
+        ("none", None),
+        ("integrator", Some(ActivationKind::Integrator)),
+        ("filter", Some(ActivationKind::Filter)),
+        ("filterexact", Some(ActivationKind::ExactFilter)),
+    ];
+    let kind = match (element.word("dyntype", &kinds)?, range) {
+        (Some(kind), _) => kind,
+        (None, None) => return Ok(None),
+        (None, Some(_)) => {
+            let reason = "an `actrange` needs an activation; remove it, or set `dyntype`";
+            return Err(element.refuse_for("actrange", reason));
+        }
+    };
+    let time_constant_secs = element.list("dynprm")?.map_or(1.0, |numbers| numbers[0]);
+    if kind != ActivationKind::Integrator {
+        let zero = || (time_constant_secs == 0.0).then(|| "must not be 0".to_owned());
+        if let Some(reason) = bounds::refusal("timeconst", time_constant_secs).or_else(zero) {
+            let reason = format!("the time constant at the start of `dynprm` {reason}");
+            return Err(element.refuse_for("dynprm", reason));
+        }
+    }
+    let range = range.map(|range| range.map(|end| end as f32));
+    let is_early = element.flag("actearly")? == Some(true);
+    let time_constant_secs = time_constant_secs as f32;
+    Ok(Some(Activation { kind, time_constant_secs, range, is_early }))
 }
