@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and another setting of it.
-const CASES: [[&str; 3]; 11] = [
+const CASES: [[&str; 3]; 13] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -23,12 +23,14 @@ const CASES: [[&str; 3]; 11] = [
     ["halfcheetah-2x3", "maddpg", "mlp"],
     ["halfcheetah-2x3", "happo-s2mia", "gru critic.core=gru"],
     ["halfcheetah-2x3", "happo-sm-encoder", "mlp"],
+    ["halfcheetah-2x3", "hasac", "mlp"],
+    ["ant-4x2", "hasac", "mlp"],
 ];
 
-/// Cases that are repeated with each SIMD width: both cores, the replay, and a recurrent critic.
-const REPEATED: [[&str; 3]; 4] = [CASES[0], CASES[5], CASES[8], CASES[9]];
+/// Cases that are repeated with each SIMD width: both cores, both rules with a replay, and a recurrent critic.
+const REPEATED: [[&str; 3]; 5] = [CASES[0], CASES[5], CASES[8], CASES[9], CASES[11]];
 
-/// Three iterations of 4 environments x 40 steps, of which MADDPG learns in two. Widths are no multiples of 16 lanes,
+/// Three iterations of 4 environments x 40 steps, of which MADDPG and HASAC learn in two. Widths are no multiples of 16 lanes,
 /// so that kernels also process remainders.
 const SETTINGS: &[&str] = &[
     "run.seed=7",
@@ -49,12 +51,20 @@ const ON_POLICY: &[&str] = &["policy.sigma_floor=0.05", "update.desired_kl=0.01"
 const INFLUENCE: &[&str] = &["influence.encoder=21", "influence.hidden=21"];
 const REPLAY: &[&str] =
     &["maddpg.replay=400", "maddpg.batch=33", "maddpg.n_step=3", "maddpg.warm_up=160"];
+const SOFT_REPLAY: &[&str] = &[
+    "hasac.replay=400",
+    "hasac.batch=33",
+    "hasac.n_step=3",
+    "hasac.warm_up=160",
+    "hasac.updates_per_step=0.1",
+];
 
 /// Settings of a core and of an algorithm.
 fn own_settings(core: &str, algorithm: &str) -> Vec<&'static str> {
     let sizes = if core == "gru" { GRU } else { MLP };
     let rule = match algorithm {
         "maddpg" => REPLAY.to_vec(),
+        "hasac" => SOFT_REPLAY.to_vec(),
         "happo-s2mia" => [ON_POLICY, INFLUENCE].concat(),
         _ => ON_POLICY.to_vec(),
     };

@@ -51,7 +51,8 @@ impl CaseSettings {
         ensure!(output.status.success(), "s2mia config {arguments:?}: {told}");
         let resolved: Table = String::from_utf8(output.stdout)?.parse()?;
         let task = sections(&resolved, &["task", "observation"])?;
-        let training = ["update", "critic", "surprise", "influence", "maddpg"];
+        let mut training = vec!["update", "critic", "surprise", "influence", "maddpg"];
+        training.extend(resolved.contains_key("hasac").then_some("hasac"));
         let learner = ["environments", "lease", "audit", "evaluation", "checkpoint", "learner"];
         Ok(Self {
             task: typed(task)?,

@@ -1,5 +1,6 @@
 //! Settings of the update, the critic, surprise and influence. Their defaults are in the binary's configuration files.
 
+mod hasac;
 mod influence;
 mod maddpg;
 mod surprise;
@@ -8,6 +9,7 @@ use policy::InputNorm;
 use policy::setting::{SettingError, count, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
 
+pub use self::hasac::HasacConfig;
 pub use self::influence::{Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{DensityKind, SurpriseConfig};
@@ -26,6 +28,9 @@ pub struct TrainingConfig {
     pub influence: InfluenceConfig,
     /// Settings of MADDPG only.
     pub maddpg: MaddpgConfig,
+    /// Settings of HASAC only; absent with other rules.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hasac: Option<HasacConfig>,
 }
 
 /// How policies are updated.
@@ -71,6 +76,9 @@ pub enum Rule {
     Mappo,
     /// Multi-agent deterministic policy gradients from a replay.
     Maddpg,
+    /// Heterogeneous-agent soft actor-critic: as MADDPG from a replay, with random policies that are updated one after
+    /// the other.
+    Hasac,
 }
 
 /// Whether agents share parameters.
@@ -89,7 +97,7 @@ pub enum Sharing {
 pub struct CriticConfig {
     /// Kind of network.
     pub core: CriticCore,
-    /// Normalisation before the first layer; MADDPG's action values have none.
+    /// Normalisation before the first layer; MADDPG's action values have none, HASAC's a batch norm.
     pub input_norm: InputNorm,
     /// Hidden layers.
     pub layers: usize,
@@ -145,7 +153,8 @@ impl TrainingConfig {
         self.critic.validate()?;
         self.surprise.validate()?;
         self.influence.validate()?;
-        self.maddpg.validate()
+        self.maddpg.validate()?;
+        self.hasac.as_ref().map_or(Ok(()), HasacConfig::validate)
     }
 
     /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the
@@ -155,6 +164,10 @@ impl TrainingConfig {
         match self.update.rule {
             Rule::Happo | Rule::Mappo => self.update.epochs as f64,
             Rule::Maddpg => self.maddpg.batch as f64 * self.maddpg.updates_per_step,
+            Rule::Hasac => {
+                let reuse = |own: &HasacConfig| own.batch as f64 * own.updates_per_step;
+                self.hasac.as_ref().map_or(0.0, reuse)
+            }
         }
     }
 }

@@ -21,7 +21,8 @@ pub mod state;
 mod surprise;
 
 pub use config::{
-    CriticConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, TrainingConfig, UpdateConfig,
+    CriticConfig, HasacConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, TrainingConfig,
+    UpdateConfig,
 };
 pub use data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use data::observation::{ObservationMoments, ObservationScale};

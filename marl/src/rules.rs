@@ -2,8 +2,10 @@
 
 pub(crate) mod algorithm;
 mod happo;
+mod hasac;
 mod maddpg;
 mod mappo;
+mod off_policy;
 mod on_policy;
 pub(crate) mod start;
 
@@ -14,13 +16,14 @@ use crate::data::batch::Problem;
 use crate::error::MarlError;
 use algorithm::Algorithm;
 use happo::Happo;
+use hasac::Hasac;
 use maddpg::Maddpg;
 use mappo::Mappo;
 use on_policy::OnPolicy;
 
 /// The configured learning rule, with weights initialised by `seed`. The caller has checked that agents with shared
-/// parameters have equal shapes, that with MADDPG no action is a choice, that with the estimator `count` all are, and
-/// that the replay holds at least one step of all environments.
+/// parameters have equal shapes, that with MADDPG and HASAC no action is a choice, that with the estimator `count` all
+/// are, that the replay holds at least one step of all environments, and that with HASAC the policies are not recurrent.
 ///
 /// # Errors
 /// If a tensor operation fails.
@@ -34,6 +37,7 @@ pub fn build(
         Rule::Happo => Ok(Box::new(OnPolicy::new(Happo, config, policy, problem, seed)?)),
         Rule::Mappo => Ok(Box::new(OnPolicy::new(Mappo, config, policy, problem, seed)?)),
         Rule::Maddpg => Ok(Box::new(Maddpg::new(config, policy, problem, seed)?)),
+        Rule::Hasac => Ok(Box::new(Hasac::new(config, policy, problem, seed)?)),
     }
 }
 

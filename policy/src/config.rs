@@ -16,7 +16,7 @@ pub enum CoreKind {
     Mlp,
 }
 
-/// Normalisation of a network's input.
+/// Normalisation before a layer of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputNorm {

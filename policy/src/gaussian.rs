@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 
 /// `1/2 log 2 pi`.
-const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
+pub(crate) const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
 /// A trainable diagonal Gaussian over `R` rows of `A` action dimensions.
 #[derive(Clone, Debug)]

@@ -7,6 +7,7 @@ use crate::categorical::{self, Categorical};
 use crate::error::PolicyError;
 use crate::gaussian::{self, Gaussian};
 use crate::randomness::{standard_normal, uniform};
+use crate::tanh_gaussian;
 
 /// Action distribution, given the network's output; part of a snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,6 +38,14 @@ pub enum Head {
         /// Highest action.
         high: f32,
     },
+    /// A Gaussian after tanh, scaled to the range; the network's output is its mean and, for each row, its standard
+    /// deviation ([`tanh_gaussian`]).
+    TanhGaussian {
+        /// Lowest action.
+        low: f32,
+        /// Highest action.
+        high: f32,
+    },
 }
 
 impl Head {
@@ -45,28 +54,29 @@ impl Head {
     #[must_use]
     pub(crate) fn scale(self) -> Option<(f32, f32)> {
         match self {
-            Self::Gaussian | Self::Categorical { .. } => None,
+            Self::Gaussian | Self::Categorical { .. } | Self::TanhGaussian { .. } => None,
             Self::Deterministic { low, high, .. } | Self::Uniform { low, high } => {
                 Some((0.5 * (high - low), 0.5 * (high + low)))
             }
         }
     }
 
-    /// The standard deviation of every action dimension, if it is not learnt.
+    /// The standard deviation of every action dimension, if it is not learnt and there is one.
     #[must_use]
     pub(crate) fn fixed_sigma(self) -> Option<f32> {
         match self {
-            Self::Gaussian | Self::Categorical { .. } => None,
+            Self::Gaussian | Self::Categorical { .. } | Self::TanhGaussian { .. } => None,
             Self::Deterministic { noise_sigma, .. } => Some(noise_sigma),
             Self::Uniform { low, high } => Some((high - low) / 12.0_f32.sqrt()),
         }
     }
 
-    /// Number of network outputs for `action` action values: means or logits.
+    /// Number of network outputs for `action` action values: means, means and deviations, or logits.
     #[must_use]
     pub fn outputs(self, action: usize) -> usize {
         match self {
             Self::Categorical { choices } => choices,
+            Self::TanhGaussian { .. } => 2 * action,
             _ => action,
         }
     }
@@ -80,7 +90,7 @@ impl Head {
             Self::Deterministic { noise_sigma, low, high } => {
                 range(low, high) && noise_sigma > 0.0 && noise_sigma.is_finite()
             }
-            Self::Uniform { low, high } => range(low, high),
+            Self::Uniform { low, high } | Self::TanhGaussian { low, high } => range(low, high),
         };
         if holds {
             return Ok(());
@@ -103,18 +113,24 @@ impl Head {
         rng: &mut impl RngCore,
         action: &mut [f32],
     ) {
-        if let Self::Categorical { .. } = self {
-            action[0] = categorical::draw(output, rng) as f32;
-            return;
-        }
-        for ((action, mean), sigma) in action.iter_mut().zip(output).zip(sigma) {
-            *action = match self {
-                Self::Deterministic { low, high, .. } => {
-                    (mean + sigma * standard_normal(rng)).clamp(low, high)
-                }
-                Self::Uniform { low, high } => low + (high - low) * uniform(rng),
-                Self::Gaussian | Self::Categorical { .. } => mean + sigma * standard_normal(rng),
-            };
+        let means = output.iter().zip(sigma);
+        let pairs = action.iter_mut().zip(means);
+        match self {
+            Self::Categorical { .. } => action[0] = categorical::draw(output, rng) as f32,
+            Self::TanhGaussian { low, high } => {
+                tanh_gaussian::draw(output, (low, high), rng, action);
+            }
+            Self::Uniform { low, high } => {
+                pairs.for_each(|(action, _)| *action = low + (high - low) * uniform(rng));
+            }
+            Self::Gaussian => {
+                pairs.for_each(|(action, (mean, sigma))| {
+                    *action = mean + sigma * standard_normal(rng)
+                });
+            }
+            Self::Deterministic { low, high, .. } => pairs.for_each(|(action, (mean, sigma))| {
+                *action = (mean + sigma * standard_normal(rng)).clamp(low, high);
+            }),
         }
     }
 
@@ -122,6 +138,7 @@ impl Head {
     pub(crate) fn mode(self, output: &[f32], action: &mut [f32]) {
         match self {
             Self::Categorical { .. } => action[0] = categorical::mode(output) as f32,
+            Self::TanhGaussian { low, high } => tanh_gaussian::mode(output, (low, high), action),
             _ => action.copy_from_slice(output),
         }
     }
@@ -134,6 +151,9 @@ impl Head {
             }
             Self::Categorical { .. } => categorical::log_prob(output, action[0] as usize),
             Self::Uniform { low, high } => -(action.len() as f32) * libm::logf(high - low),
+            Self::TanhGaussian { low, high } => {
+                tanh_gaussian::log_prob(output, (low, high), action)
+            }
         }
     }
 }
@@ -205,6 +225,7 @@ mod tests {
         assert!(Head::Categorical { choices: 3 }.check(2).is_err());
         for head in [
             Head::Uniform { low: 1.0, high: 1.0 },
+            Head::TanhGaussian { low: 2.0, high: 1.0 },
             Head::Uniform { low: f32::NAN, high: 1.0 },
             Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
             Head::Categorical { choices: 0 },

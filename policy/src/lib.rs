@@ -21,6 +21,7 @@ pub mod randomness;
 pub mod setting;
 pub mod snapshot;
 pub mod standardisation;
+pub mod tanh_gaussian;
 mod team;
 
 pub use acting::{ActorPolicy, ActorSpec, Scratch};

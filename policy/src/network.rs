@@ -44,7 +44,7 @@ impl ActorNetwork {
     /// A network for `observation` features and `action` action values. Its weights are drawn from `rng`.
     ///
     /// # Errors
-    /// If `head` is invalid for `action` values; passes on a tensor error.
+    /// If `head` is invalid for `action` values or tanh-Gaussian; passes on a tensor error.
     pub fn new(
         config: &PolicyConfig,
         observation: usize,
@@ -62,6 +62,10 @@ impl ActorNetwork {
                 Some(parameters.add("head.log_std", start)?)
             }
             Head::Categorical { .. } | Head::Deterministic { .. } | Head::Uniform { .. } => None,
+            Head::TanhGaussian { .. } => {
+                let detail = format!("{head:?} is no distribution of an actor network");
+                return Err(PolicyError::Snapshot(detail));
+            }
         };
         let sigma_floor = f64::from(config.sigma_floor);
         Ok(Self { spec, sigma_floor, parameters, layers, log_std })

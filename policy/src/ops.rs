@@ -4,7 +4,7 @@ mod network;
 
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDType};
 
-pub use kernels::{Activation, LAYER_NORM_EPSILON, Layer, Network};
+pub use kernels::{Activation, Input, LAYER_NORM_EPSILON, Layer, Network, Packed, Workspace};
 pub use network::{Backward, LayerStack, RecurrentInput, Weights};
 
 /// `1 / (1 + exp(-x))` of every element, with the bits of `kernels`.

@@ -46,6 +46,8 @@ pub enum Purpose {
     ServedAction = 23,
     /// Bootstrap resampling of runs, for confidence intervals.
     Bootstrap = 30,
+    /// Noise of the actions that an off-policy update draws.
+    UpdateAction = 31,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.

@@ -20,6 +20,14 @@ fn agent(core: CoreKind, action: usize, head: Head) -> ActorPolicy {
     ActorNetwork::new(&config(core), 5, action, head, &mut rng).unwrap().policy().unwrap()
 }
 
+const SQUASHED: Head = Head::TanhGaussian { low: -1.0, high: 3.0 };
+
+/// An agent of 5 observation features and 2 action values, whose parameters are multiples of 0.01.
+fn squashed() -> ActorPolicy {
+    let parameters = (0..44).map(|i| 0.01 * i as f32).collect::<Vec<_>>();
+    ActorPolicy::without_norms(&config(CoreKind::Mlp), (5, 2), SQUASHED, &parameters).unwrap()
+}
+
 fn snapshot() -> PolicySnapshot {
     let agent = |(core, action)| agent(core, action, Head::Gaussian);
     PolicySnapshot { agents: [(CoreKind::Gru, 1), (CoreKind::Mlp, 2)].map(agent).to_vec() }
@@ -43,8 +51,10 @@ fn a_snapshot_says_how_to_act_after_a_round_trip_and_equal_policies_have_equal_b
     let deterministic = Head::Deterministic { noise_sigma: 0.1, low: -1.0, high: 3.0 };
     let exploring = agent(CoreKind::Mlp, 2, deterministic);
     let choosing = agent(CoreKind::Gru, 1, Head::Categorical { choices: 5 });
+    let (squashed, warming_up) = (squashed(), squashed().uniform());
     let mut original = snapshot();
     original.agents.extend([exploring.clone(), exploring.uniform(), choosing]);
+    original.agents.extend([squashed, warming_up]);
     let bytes = original.to_bytes().unwrap();
     let back = PolicySnapshot::from_bytes(&bytes).unwrap();
     assert_eq!(back.to_bytes().unwrap(), bytes);
@@ -54,6 +64,8 @@ fn a_snapshot_says_how_to_act_after_a_round_trip_and_equal_policies_have_equal_b
         deterministic,
         Head::Uniform { low: -1.0, high: 3.0 },
         Head::Categorical { choices: 5 },
+        SQUASHED,
+        Head::Uniform { low: -1.0, high: 3.0 },
     ];
     for ((one, two), head) in original.agents.iter().zip(&back.agents).zip(heads) {
         assert_eq!((two.spec().head(), run(two), two.sigma()), (head, run(one), one.sigma()));
@@ -63,6 +75,27 @@ fn a_snapshot_says_how_to_act_after_a_round_trip_and_equal_policies_have_equal_b
     assert_eq!(back.agents[2].sigma(), [0.1, 0.1]);
     assert_eq!(run(&back.agents[2]), run(&back.agents[3]));
     assert_eq!((back.agents[4].action_size(), back.agents[4].sigma().len()), (1, 0));
+}
+
+#[test]
+fn a_tanh_gaussian_policy_without_norms_has_the_layers_given_and_keeps_its_mode_in_the_warm_up() {
+    let policy = squashed();
+    // Every weight and bias is 0.01 i: four units relu(0.3 * 5 w + b), then two means and two deviations.
+    let number = |i: usize| 0.01 * i as f32;
+    let unit = |u: usize| 0.3 * (0..5).map(|x| number(5 * u + x)).sum::<f32>() + number(20 + u);
+    let output =
+        |o: usize| (0..4).map(|u| number(24 + 4 * o + u) * unit(u)).sum::<f32>() + number(40 + o);
+    let found = run(&policy).0;
+    assert!(found.iter().enumerate().all(|(o, x)| (x - output(o)).abs() < 1e-3), "{found:?}");
+    let mode = |policy: &ActorPolicy| {
+        let mut action = [0.0; 2];
+        policy.mode(&run(policy).0, &mut action);
+        action
+    };
+    let (own, warming_up) = (mode(&policy), mode(&squashed().uniform()));
+    assert!(own.iter().zip(warming_up).all(|(own, other)| (own - other).abs() < 1e-5), "{own:?}");
+    let few = ActorPolicy::without_norms(&config(CoreKind::Mlp), (5, 2), SQUASHED, &[0.0; 43]);
+    assert!(few.unwrap_err().to_string().contains("43 parameters, expected 44"));
 }
 
 #[test]

@@ -42,9 +42,11 @@ fn is_key(word: &str) -> bool {
 fn explained(config: &RunConfig, key: &str) -> String {
     const OF_TASK: &str = "the weight in the task's file";
     let is_weight = keys::weighted_term(key).is_some();
+    let (file, meaning) = presets::description(key).unwrap_or(("the task", ""));
     let (value, origin) = match config.resolved.entries.contains_key(key) {
-        false if is_weight => (OF_TASK.to_owned(), "the task"),
-        _ => (config.resolved.shown(key), config.resolved.origin(key)),
+        true => (config.resolved.shown(key), config.resolved.origin(key)),
+        false if is_weight => (OF_TASK.to_owned(), file),
+        false => ("none".to_owned(), file),
     };
     let default = match layers::default_of(key) {
         Ok(default) if !is_weight => default.to_string(),
@@ -62,7 +64,7 @@ fn explained(config: &RunConfig, key: &str) -> String {
         format!("{key} = {value}"),
         format!("  set by   {origin}{}", effect::remarks(config)(key)),
         format!("  default  {default}"),
-        format!("  meaning  {}", presets::description(key)),
+        format!("  meaning  {}", meaning),
         format!("  effect   {effect}"),
     ];
     lines.into_iter().filter(|line| !line.ends_with("meaning  ")).collect::<Vec<_>>().join("\n")

@@ -43,8 +43,12 @@ pub(super) enum Property {
 
 /// Rules that update policies from the newest rollout only.
 pub(super) const ON_POLICY: Condition = Condition::Is("update.rule", &["happo", "mappo"]);
-/// The off-policy rule.
+/// Rules that update policies from a replay.
+pub(super) const OFF_POLICY: Condition = Condition::Is("update.rule", &["maddpg", "hasac"]);
+/// Multi-agent deterministic policy gradients.
 pub(super) const MADDPG: Condition = Condition::Is("update.rule", &["maddpg"]);
+/// Heterogeneous-agent soft actor-critic.
+pub(super) const HASAC: Condition = Condition::Is("update.rule", &["hasac"]);
 /// The surprise term is on.
 pub(super) const SURPRISE: Condition = Condition::Above0("surprise.alpha");
 /// The influence term is on.
@@ -80,7 +84,9 @@ impl Condition {
 impl fmt::Display for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Is("update.rule", ["maddpg"]) => f.write_str("algorithm = maddpg"),
+            Self::Is("update.rule", [rule @ ("maddpg" | "hasac")]) => {
+                write!(f, "algorithm = {rule}")
+            }
             Self::Is(key, values) => write!(f, "{key} = {}", values.join(" or ")),
             Self::Not(key, _) => f.write_str(key),
             Self::Above0(key) => write!(f, "{key} above 0"),

@@ -4,7 +4,9 @@
 use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
-use super::conditions::{Condition, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SURPRISE};
+use super::conditions::{
+    Condition, HASAC, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SURPRISE,
+};
 use super::keys;
 use super::resolved::{ConfigError, Resolved};
 use super::run_config::RunConfig;
@@ -13,6 +15,8 @@ const GRU: Condition = Is("policy.core", &["gru"]);
 const MLP: Condition = Is("policy.core", &["mlp"]);
 /// The estimator with a posterior that is trained.
 const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
+/// Rules whose networks have layer norms, and that clip gradients.
+const LAYER_NORMS: Condition = Is("update.rule", &["happo", "mappo", "maddpg"]);
 const MLE: Condition = Is("influence.q_training", &["mle"]);
 
 /// Every setting that can be without an effect, and the conditions that must all hold for one.
@@ -29,6 +33,15 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["observation.contact_forces"], &[Environment(Contacts)]),
     (&["policy.encoder", "policy.hidden"], &[GRU]),
     (&["policy.width", "policy.layers"], &[MLP]),
+    (
+        &[
+            "policy.input_norm",
+            "policy.head_gain",
+            "update.max_gradient_norm",
+            "critic.max_gradient_norm",
+        ],
+        &[LAYER_NORMS],
+    ),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
     (&["update.parameters"], &[Environment(Several)]),
     (
@@ -79,6 +92,20 @@ const TABLE: &[(&[&str], &[Condition])] = &[
             "maddpg.polyak",
         ],
         &[MADDPG],
+    ),
+    (
+        &[
+            "hasac.replay",
+            "hasac.batch",
+            "hasac.n_step",
+            "hasac.warm_up",
+            "hasac.updates_per_step",
+            "hasac.policy_every",
+            "hasac.norm_momentum",
+            "hasac.initial_temperature",
+            "hasac.first_moment",
+        ],
+        &[HASAC],
     ),
     (&["evaluation.episodes", "evaluation.sampled"], &[Above0("evaluation.every_steps")]),
 ];
@@ -150,7 +177,6 @@ mod tests {
         "critic.core",
         "critic.layers",
         "critic.learning_rate",
-        "critic.max_gradient_norm",
         "critic.state_norm",
         "critic.width",
         "environment_service.url",
@@ -168,8 +194,6 @@ mod tests {
         "observation.norm",
         "policy.backpropagation_steps",
         "policy.core",
-        "policy.head_gain",
-        "policy.input_norm",
         "preset",
         "run.actors",
         "run.dir",
@@ -181,7 +205,6 @@ mod tests {
         "update.gamma",
         "update.learning_rate",
         "update.learning_rate_decay",
-        "update.max_gradient_norm",
         "update.rule",
     ];
 
@@ -200,13 +223,15 @@ mod tests {
         ("policy.encoder=32", &[], &["policy.core=mlp"]),
         ("policy.layers=3", &["policy.core=mlp"], &[]),
         ("policy.sigma_floor=0.1", &[], &["task=cue-2x1"]),
+        ("policy.head_gain=0.1", &["algorithm=maddpg"], &["algorithm=hasac"]),
         ("update.clip=0.2", &[], &["algorithm=maddpg"]),
         ("surprise.density=vae", &[], &["algorithm=happo"]),
         ("influence.lag=1", &[], &["algorithm=happo-sm"]),
         ("influence.encoder=32", &[], &["task=cue-2x1", "influence.estimator=count"]),
         ("influence.posterior_sigma_floor=0.1", &[], &["task=cue-2x1"]),
         ("influence.holdout_every=4", &[], &["influence.q_training=shared"]),
-        ("maddpg.noise=0.2", &["algorithm=maddpg"], &[]),
+        ("maddpg.noise=0.2", &["algorithm=maddpg"], &["algorithm=hasac"]),
+        ("hasac.n_step=3", &["algorithm=hasac"], &["algorithm=maddpg"]),
         ("evaluation.sampled=true", &[], &["evaluation.every_steps=0"]),
     ];
 
@@ -220,7 +245,8 @@ mod tests {
         let listed: Vec<&str> = ALWAYS.iter().copied().chain(conditional).collect();
         let distinct: BTreeSet<&str> = listed.iter().copied().collect();
         assert_eq!(distinct.len(), listed.len(), "a setting is listed twice");
-        let defaults = RunConfig::with(&[]).unwrap().resolved;
+        // The settings of this algorithm have every section.
+        let defaults = RunConfig::with(&["algorithm=hasac"]).unwrap().resolved;
         let known: BTreeSet<&str> = defaults.entries.keys().map(String::as_str).collect();
         assert_eq!(distinct, known);
     }

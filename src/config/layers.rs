@@ -1,5 +1,5 @@
 //! Reads the layers of a configuration and lays them over each other. Later layers win; no layer may
-//! bring a key that `configs/base.toml` does not have.
+//! bring a key that neither `configs/base.toml` nor an algorithm's file has.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -38,14 +38,29 @@ type Values = BTreeMap<String, Value>;
 /// A value of the kind of a reward term's weight, which has no default here.
 static A_WEIGHT: Value = Value::Float(0.0);
 
-/// A value of the kind of the other keys without a default.
-static A_TEXT: Value = Value::String(String::new());
+/// Every key of `configs/base.toml` with its default.
+static DEFAULTS: LazyLock<Values> = LazyLock::new(|| written_in(presets::BASE));
 
-/// Every key with its default.
-static DEFAULTS: LazyLock<Values> = LazyLock::new(|| {
-    let table: Table = presets::BASE.text.parse().expect("a test shows that base.toml is TOML");
-    leaves(&table).into_iter().map(|(key, value)| (key, value.clone())).collect()
+/// Every key with its default. The section of one algorithm is in that algorithm's file alone, and so only in the
+/// settings of its runs; keys without a default are empty texts here.
+static KNOWN: LazyLock<Values> = LazyLock::new(|| {
+    let optional = keys::OPTIONAL.map(|key| (key.to_owned(), Value::String(String::new())));
+    let own = presets::ALGORITHMS.iter().copied().flat_map(own_section);
+    own.chain(DEFAULTS.clone()).chain(optional).collect()
 });
+
+/// The values of an algorithm's file whose keys `configs/base.toml` lacks.
+fn own_section(algorithm: Preset) -> Values {
+    let mut values = written_in(algorithm);
+    values.retain(|key, _| !DEFAULTS.contains_key(key));
+    values
+}
+
+/// The values in a file of the program.
+fn written_in(preset: Preset) -> Values {
+    let table: Table = preset.text.parse().expect("tests read every file of the program");
+    leaves(&table).into_iter().map(|(key, value)| (key, value.clone())).collect()
+}
 
 /// Values of one place.
 pub(super) struct SettingsLayer {
@@ -100,6 +115,7 @@ pub(crate) fn resolve(request: &Request) -> Result<Resolved, ConfigError> {
     let mut asked = asked_layers(request)?;
     let own = OwnTask::of(&asked)?;
     let mut layers = vec![base_layer()];
+    layers.extend(named_sections(&asked));
     match &request.resumed {
         Some(file) => {
             let (place, text) = read(file)?;
@@ -119,6 +135,16 @@ fn base_layer() -> SettingsLayer {
     let place = presets::BASE.path.to_owned();
     let values = DEFAULTS.clone();
     SettingsLayer { place, source: Source::Program, values }
+}
+
+/// The sections of algorithms of which the layers name a setting, which is then read and refused as any other.
+fn named_sections(asked: &[SettingsLayer]) -> impl Iterator<Item = SettingsLayer> {
+    let is_named = |key: &String| asked.iter().any(|layer| layer.values.contains_key(key));
+    presets::ALGORITHMS.iter().filter_map(move |algorithm| {
+        let (place, values) = (algorithm.path.to_owned(), own_section(*algorithm));
+        let layer = SettingsLayer { place, source: Source::Program, values };
+        layer.values.keys().any(is_named).then_some(layer)
+    })
 }
 
 /// The layers that the user wrote: files, environment, command line.
@@ -149,12 +175,7 @@ fn asked_layers(request: &Request) -> Result<Vec<SettingsLayer>, ConfigError> {
 
 /// The settings whose keys equal `word` apart from separators, with or without their section.
 pub(crate) fn spelled(word: &str) -> Vec<&'static str> {
-    keys::spelled(word, names())
-}
-
-/// All keys but the weights of reward terms.
-fn names() -> impl Iterator<Item = &'static str> {
-    DEFAULTS.keys().map(String::as_str).chain(keys::OPTIONAL)
+    keys::spelled(word, KNOWN.keys().map(String::as_str))
 }
 
 /// Refuses a variable that spells a setting without being one, which would change nothing unnoticed.
@@ -317,7 +338,7 @@ fn setting_layer(place: &str, key: &str, text: &str) -> Result<SettingsLayer, Co
 /// The first key of the section `key`; `None` if it is no section.
 fn first_inside(key: &str) -> Option<&'static String> {
     let section = format!("{key}.");
-    DEFAULTS.keys().find(|known| known.starts_with(&section))
+    KNOWN.keys().find(|known| known.starts_with(&section))
 }
 
 /// The default under `key`, which the user names instead of a value.
@@ -330,20 +351,17 @@ pub(crate) fn default_of(key: &str) -> Result<&'static Value, ConfigError> {
 
 /// The default under `key`, whose kind a value must have.
 fn known(place: &str, key: &str) -> Result<&'static Value, ConfigError> {
-    if let Some(default) = DEFAULTS.get(key) {
+    if let Some(default) = KNOWN.get(key) {
         return Ok(default);
     }
     if keys::weighted_term(key).is_some() {
         return Ok(&A_WEIGHT);
     }
-    if keys::OPTIONAL.contains(&key) {
-        return Ok(&A_TEXT);
-    }
     if let Some(inside) = first_inside(key) {
         let expected = format!("a table with keys such as `{inside}`");
         return Err(wrong_kind(place, key, &expected, "a value"));
     }
-    let tip = tip(key, names());
+    let tip = tip(key, KNOWN.keys().map(String::as_str));
     Err(ConfigError::UnknownKey { place: place.to_owned(), key: key.to_owned(), tip })
 }
 

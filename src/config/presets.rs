@@ -52,6 +52,7 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "happo",
     "mappo",
     "maddpg",
+    "hasac",
 );
 
 /// Published hyper-parameters, which override the settings of a task.
@@ -62,22 +63,26 @@ pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
 }
 
-/// The description of a setting in `configs/base.toml`, where one without a default is a comment; empty if its name says it
-/// all.
-pub(crate) fn description(key: &str) -> &'static str {
+/// The path of the file with the default of a setting, and the description there, which is empty if the name says it all:
+/// `configs/base.toml`, or the file of the only algorithm that has the setting. `None` if no file has it.
+pub(crate) fn description(key: &str) -> Option<(&'static str, &'static str)> {
+    let files = [&BASE].into_iter().chain(ALGORITHMS);
+    files.into_iter().find_map(|file| Some((file.path, described(file.text, key)?)))
+}
+
+/// The description of a setting in the text of a file that has it; one without a default is a comment there.
+fn described(text: &'static str, key: &str) -> Option<&'static str> {
     let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
     let mut current = "";
-    for line in BASE.text.lines() {
+    text.lines().find_map(|line| {
         if let Some(header) = line.strip_prefix('[') {
             current = header.trim_end_matches(']');
         }
         let line = line.strip_prefix("# ").unwrap_or(line);
-        let is_it = line.split_once('=').is_some_and(|(left, _)| left.trim() == name);
-        if is_it && current == section {
-            return line.split_once('#').map_or("", |(_, description)| description.trim());
-        }
-    }
-    ""
+        let (left, value) = line.split_once('=')?;
+        let is_it = left.trim() == name && current == section;
+        is_it.then(|| value.split_once('#').map_or("", |(_, description)| description.trim()))
+    })
 }
 
 /// Whether this is the text of a file of the program, which somebody gave by its path.
@@ -110,12 +115,21 @@ mod tests {
 
     #[test]
     fn a_description_is_that_of_the_key_in_its_own_section() {
-        assert!(description("surprise.alpha").starts_with("weight of log p_theta(o)"));
-        assert!(description("algorithm").is_empty());
-        assert!(description("policy.layers").starts_with("mlp: "));
-        assert!(description("critic.layers").is_empty());
-        assert!(description("policy.start").starts_with("trained policies"));
-        assert!(description("run.iterations").ends_with("0: from env_steps"));
+        let (base, hasac) = (BASE.path, "configs/algorithms/hasac.toml");
+        for (key, file, starts) in [
+            ("surprise.alpha", base, "weight of log p_theta(o)"),
+            ("policy.layers", base, "mlp: "),
+            ("policy.start", base, "trained policies"),
+            ("run.iterations", base, "number of iterations, which overrides env_steps"),
+            ("hasac.batch", hasac, "transitions per update"),
+        ] {
+            let (path, found) = description(key).unwrap();
+            assert!(path == file && found.starts_with(starts), "{key}: {path}: {found}");
+        }
+        for key in ["algorithm", "critic.layers", "update.gamma"] {
+            assert_eq!(description(key), Some((base, "")), "{key}");
+        }
+        assert_eq!(description("reward.control"), None);
     }
 
     #[test]

@@ -7,7 +7,8 @@ use marl::config::{QTraining, Sharing};
 use policy::setting::{SettingError, multiple, within};
 use proto::EnvironmentSpec;
 
-use super::conditions::{Condition, INFLUENCE, MADDPG, Property, RunContext};
+use super::conditions::{Condition, HASAC, INFLUENCE, MADDPG, OFF_POLICY, Property, RunContext};
+use super::keys::START;
 use super::message_steps::{MESSAGE, SLOT, WINDOW};
 use super::resolved::ConfigError;
 use super::run_config::RunConfig;
@@ -27,31 +28,35 @@ const fn rule(refused: Condition, with: &'static [Condition], allowed: &'static 
 }
 
 const TABLE: &[Rule] = &[
-    rule(Is("update.parameters", &["shared"]), &[MADDPG], "separate with update.rule = maddpg"),
+    rule(
+        Is("update.parameters", &["shared"]),
+        &[OFF_POLICY],
+        "separate with update.rule = maddpg or hasac",
+    ),
     rule(
         Is("policy.core", &["gru"]),
-        &[MADDPG],
-        "mlp with update.rule = maddpg: the replay holds single steps, no recurrent states",
+        &[OFF_POLICY],
+        "mlp with update.rule = maddpg or hasac: the replay holds single steps, no recurrent states",
     ),
     rule(
         Is("observation.norm", &["running"]),
-        &[MADDPG],
-        "feature_z or none with update.rule = maddpg: running statistics would differ from those of the replay",
+        &[OFF_POLICY],
+        "feature_z or none with update.rule = maddpg or hasac: running statistics would differ from those of the replay",
     ),
     rule(
         Is("critic.core", &["gru"]),
-        &[MADDPG],
-        "mlp with update.rule = maddpg: the replay holds single steps, no recurrent states",
+        &[OFF_POLICY],
+        "mlp with update.rule = maddpg or hasac: the replay holds single steps, no recurrent states",
     ),
     rule(
         Above0("surprise.alpha"),
-        &[MADDPG],
-        "0 with update.rule = maddpg: the density is refitted in every iteration, so rewards in the replay would be stale",
+        &[OFF_POLICY],
+        "0 with update.rule = maddpg or hasac: the density is refitted in every iteration, so rewards in the replay would be stale",
     ),
     rule(
         Is("critic.state_norm", &["running"]),
-        &[MADDPG],
-        "none or feature_z with update.rule = maddpg: the scale of states in the replay would be stale",
+        &[OFF_POLICY],
+        "none or feature_z with update.rule = maddpg or hasac: the scale of states in the replay would be stale",
     ),
     rule(
         INFLUENCE,
@@ -59,10 +64,16 @@ const TABLE: &[Rule] = &[
         "0 with update.rule = maddpg: a deterministic policy has no density to regularise",
     ),
     rule(
-        Is("update.rule", &["maddpg"]),
-        &[Environment(Discrete)],
-        "happo or mappo for a task with discrete actions",
+        INFLUENCE,
+        &[HASAC],
+        "0 with update.rule = hasac: Eq. 10 adds the influence to an on-policy surrogate",
     ),
+    rule(
+        Not(START, ""),
+        &[HASAC],
+        "absent with update.rule = hasac: policies have batch norms folded into their weights, which cannot be trained on",
+    ),
+    rule(OFF_POLICY, &[Environment(Discrete)], "happo or mappo for a task with discrete actions"),
     rule(
         Is("influence.estimator", &["count"]),
         &[Environment(Continuous)],
@@ -115,10 +126,20 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let window = policy.backpropagation_steps;
     multiple(SLOT, environments.steps, WINDOW, window)?;
     multiple(MESSAGE, environments.message_steps, WINDOW, window)?;
-    if training.update.rule == marl::config::Rule::Maddpg {
+    let replay = match (training.update.rule, &training.hasac) {
+        (marl::config::Rule::Maddpg, _) => Some(("maddpg.replay", training.maddpg.replay)),
+        (marl::config::Rule::Hasac, Some(hasac)) => Some(("hasac.replay", hasac.replay)),
+        (marl::config::Rule::Hasac, None) => {
+            let others =
+                "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
+            return Err(SettingError::new("update.rule", "hasac", others));
+        }
+        _ => None,
+    };
+    if let Some((key, replay)) = replay {
         let count = environments.count;
         let range = format!("at least environments.count = {count}, one step of each");
-        within("maddpg.replay", training.maddpg.replay, count.., &range)?;
+        within(key, replay, count.., &range)?;
     }
     if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
         let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);
@@ -167,12 +188,14 @@ mod tests {
     /// Settings that break one rule, and the value that is refused.
     const CASES: &[(&[&str], &str)] = &[
         (&["algorithm=maddpg", "update.parameters=shared"], "update.parameters = shared"),
-        (&["algorithm=maddpg", "policy.core=gru"], "policy.core = gru"),
+        (&["algorithm=hasac", "policy.core=gru"], "policy.core = gru"),
         (&["algorithm=maddpg", "observation.norm=running"], "observation.norm = running"),
-        (&["algorithm=maddpg", "critic.core=gru"], "critic.core = gru"),
+        (&["algorithm=hasac", "critic.core=gru"], "critic.core = gru"),
         (&["algorithm=maddpg", "surprise.alpha=0.01"], "surprise.alpha = 0.01"),
         (&["algorithm=maddpg", "critic.state_norm=running"], "critic.state_norm = running"),
         (&["algorithm=maddpg", "influence.lambda=0.01"], "influence.lambda = 0.01"),
+        (&["algorithm=hasac", "influence.lambda=0.01"], "influence.lambda = 0.01"),
+        (&["algorithm=hasac", "policy.start=runs/one"], "policy.start = runs/one"),
         (&["cue-2x1", "algorithm=maddpg"], "update.rule = maddpg"),
         (&["influence.estimator=count"], "influence.estimator = count"),
         (
@@ -220,9 +243,23 @@ mod tests {
                 "command line: maddpg.replay = 9 is out of range: at least environments.count = 10, one step of each",
             ),
             (
+                &["algorithm=hasac", "hasac.replay=9"],
+                "command line: hasac.replay = 9 is out of range: at least environments.count = 10, one step of each",
+            ),
+            (
+                &["update.rule=hasac"],
+                "command line: update.rule = hasac is out of range: happo, mappo or maddpg without the settings of hasac; use \
+                 algorithm = hasac",
+            ),
+            (
                 &["influence.q_training=shared", "influence.posterior_sigma_floor=0.5"],
                 "command line: influence.posterior_sigma_floor = 0.5 is out of range: below policy.sigma_scale = 0.5 with \
                  influence.q_training = shared",
+            ),
+            (
+                &["cue-2x1", "algorithm=hasac"],
+                "command line: algorithm = hasac does not fit: update.rule = hasac is out of range: happo or mappo for a \
+                 task with discrete actions",
             ),
             (
                 &["cue-2x1", "algorithm=maddpg"],

@@ -91,7 +91,7 @@ pub(crate) struct RunConfig {
     pub(crate) task: sim::TaskConfig,
     /// Section `policy`.
     pub(crate) policy: policy::PolicyConfig,
-    /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg`.
+    /// Sections `update`, `critic`, `surprise`, `influence`, `maddpg` and, with that algorithm only, `hasac`.
     pub(crate) training: marl::TrainingConfig,
     /// Sections `environments`, `lease`, `audit`, `evaluation`, `checkpoint`, `learner`.
     pub(crate) learner: learner::config::LearnerConfig,
@@ -274,10 +274,11 @@ mod tests {
     }
 
     #[test]
-    fn every_task_with_every_algorithm_and_preset_is_valid_but_a_game_with_maddpg() {
+    fn every_task_with_every_algorithm_and_preset_is_valid_but_a_game_with_a_replay() {
         for (task, preset) in tasks_and_presets() {
             for algorithm in presets::ALGORITHMS {
-                if sim::Robot::of_task(task).is_err() && algorithm.name == "maddpg" {
+                let has_replay = ["maddpg", "hasac"].contains(&algorithm.name);
+                if sim::Robot::of_task(task).is_err() && has_replay {
                     continue;
                 }
                 let algorithm = format!("algorithm={}", algorithm.name);
@@ -335,6 +336,7 @@ mod tests {
             (&[], 1000, 1_000_000),
             (&["run.iterations=5"], 5, 5_000),
             (&["algorithm=maddpg", "run.iterations=5"], 5, 2_500),
+            (&["algorithm=hasac", "run.iterations=5"], 5, 2_500),
         ] {
             let config = RunConfig::with(settings).unwrap();
             let found = (config.iterations(), config.env_steps());

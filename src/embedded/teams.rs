@@ -78,6 +78,7 @@ fn about_agent(
         Head::Categorical { choices } => ("categorical", Some(choices)),
         Head::Deterministic { .. } => ("clamped_gaussian", None),
         Head::Uniform { .. } => ("uniform", None),
+        Head::TanhGaussian { .. } => ("tanh_gaussian", None),
     };
     json!({
         "name": spec.map_or_else(|| format!("agent_{index}"), |spec| spec.name.clone()),

@@ -203,7 +203,7 @@ fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
 type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 
 /// The shipped algorithms, in the order of their ranks: each has the same style in every picture.
-const ALGORITHMS: [&str; 9] = [
+const ALGORITHMS: [&str; 10] = [
     "happo-s2mia",
     "happo",
     "mappo",
@@ -213,6 +213,7 @@ const ALGORITHMS: [&str; 9] = [
     "happo-mi",
     "happo-0",
     "happo-sm-encoder",
+    "hasac",
 ];
 
 /// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others those that are left.

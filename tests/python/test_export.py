@@ -16,6 +16,7 @@ POLICIES = {
     "without memory": ["policy.core=mlp"],
     "of choices": ["task=cue-2x1"],
     "squashed": ["algorithm=maddpg"],
+    "squashed with own deviations": ["algorithm=hasac", "hasac.warm_up=100", "hasac.updates_per_step=0.1"],
     "standardising": ["observation.norm=running"],
 }
 

@@ -90,11 +90,12 @@ class ValueNormaliser:
 class Optimiser:
     """Adam after clipping by global norm; then deviations are held at their floor."""
 
-    def __init__(self, network, settings, section, most):
+    def __init__(self, network, settings, section, most, betas=(0.9, 0.999)):
         self.network, self.most = network, settings[most]
         self.least_share = settings["policy.sigma_floor"] / SIGMA_SCALE
         rate = settings[f"{section}.learning_rate"]
-        self.adam = torch.optim.Adam(network.parameters(), lr=rate, eps=settings["update.adam_epsilon"])
+        epsilon = settings["update.adam_epsilon"]
+        self.adam = torch.optim.Adam(network.parameters(), lr=rate, eps=epsilon, betas=betas)
 
     def step(self, loss):
         """Gives the gradient's norm before clipping."""

@@ -15,6 +15,7 @@ from safetensors.torch import save_file
 from torch.distributions import Categorical
 
 from equations import ValueNormaliser, actor_loss, advantages, next_values, normalised, value_loss
+from hasac import NormalisedNetwork, hasac
 from networks import ActionValue, Critic, FeedForwardActor, Posterior, RecurrentActor, RecurrentCritic, gaussian, start
 from off_policy import maddpg
 from on_policy import happo, mappo
@@ -47,6 +48,10 @@ SETTINGS = {
     "influence.holdout_every": 5,
     "maddpg.n_step": 3,
     "maddpg.polyak": 0.05,
+    "hasac.batch": 16,
+    "hasac.norm_momentum": 0.1,
+    "hasac.initial_temperature": 0.5,
+    "hasac.first_moment": 0.5,
 }
 # The rows that the replay draws, and the order that the sweep draws, with the seeds that the tests name.
 SAMPLED = [46, 4, 6, 27, 3, 13, 16, 34, 14, 27, 42, 15, 31, 16, 19, 3]
@@ -148,6 +153,25 @@ def maddpg_case(seed):
 
 def maddpg_start(case):
     kinds = [("agent", "actors"), ("q", "values"), ("target_agent", "target_actors"), ("target_q", "target_values")]
+    return weights([(f"{name}_{i}", own) for name, kind in kinds for i, own in enumerate(case[kind])])
+
+
+def hasac_case(seed):
+    draw, observations, actions = Drawing(seed), [4, 3], [2, 1]
+    momentum = SETTINGS["hasac.norm_momentum"]
+    network = lambda inputs, outputs: draw.network(NormalisedNetwork(inputs, outputs, SIZES, momentum))
+    return {
+        "settings": SETTINGS,
+        "seed": 1,
+        "range": torch.tensor([-1.0, 2.0], dtype=torch.float64),
+        "batch": batch_of(draw, observations, actions, 0),
+        "actors": [network(seen, 2 * own) for seen, own in zip(observations, actions)],
+        "critics": [network(STATES + sum(actions), 1) for _ in range(2)],
+    }
+
+
+def hasac_start(case):
+    kinds = [("agent", "actors"), ("q", "critics")]
     return weights([(f"{name}_{i}", own) for name, kind in kinds for i, own in enumerate(case[kind])])
 
 
@@ -255,6 +279,8 @@ def main():
     write("happo_gru_critic", update_arrays(case, on_policy_start(case), happo(case)))
     case = maddpg_case(4)
     write("maddpg", update_arrays(case, maddpg_start(case), maddpg(case)))
+    case = hasac_case(7)
+    write("hasac", update_arrays(case, hasac_start(case), hasac(case)))
 
 
 main()

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use crate::processes::{Background, children, has_begun, signal};
-use crate::runs::{Runs, SMALL_MADDPG, inspect, succeeded, text, tiny, train};
+use crate::runs::{Runs, SMALL_HASAC, SMALL_MADDPG, inspect, succeeded, text, tiny, train};
 
 /// A disturbance of a run of six iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +39,7 @@ const DISTURBANCES: [Disturbance; 8] = [
 ];
 const ACTORS: [u32; 3] = [1, 2, 4];
 const THREADS: [u32; 2] = [1, 2];
-const RULES: [Rule; 3] = [OnPolicy, Recurrent, Replay];
+const RULES: [Rule; 4] = [OnPolicy, Recurrent, Replay, SoftReplay];
 
 /// The learning rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,9 +50,11 @@ enum Rule {
     Recurrent,
     /// MADDPG, whose state includes the replay.
     Replay,
+    /// HASAC, whose state also includes running statistics and temperatures.
+    SoftReplay,
 }
 
-use Rule::{OnPolicy, Recurrent, Replay};
+use Rule::{OnPolicy, Recurrent, Replay, SoftReplay};
 
 impl Rule {
     /// Settings of the rule.
@@ -61,22 +63,23 @@ impl Rule {
             OnPolicy => &[],
             Recurrent => &["critic.core=gru"],
             Replay => &SMALL_MADDPG,
+            SoftReplay => &SMALL_HASAC,
         }
     }
 }
 
 type Cell = (Rule, Disturbance, u32, u32);
 
-/// Rule, disturbance, actors, threads: every disturbance with every number of actors, with rules and threads rotated to
-/// cover all pairs.
-const CELLS: [Cell; 24] = {
-    let mut cells = [(OnPolicy, Nothing, 0, 0); 24];
+/// Rule, disturbance, actors, threads: every disturbance with every rule, with actors and threads rotated to cover all
+/// pairs.
+const CELLS: [Cell; 32] = {
+    let mut cells = [(OnPolicy, Nothing, 0, 0); 32];
     let mut index = 0;
-    while index < 24 {
-        let (disturbance, actors) = (index / 3, index % 3);
-        let rule = RULES[(disturbance + actors) % 3];
-        let threads = THREADS[(disturbance + actors + actors.div_ceil(2)) % 2];
-        cells[index] = (rule, DISTURBANCES[disturbance], ACTORS[actors], threads);
+    while index < 32 {
+        let (disturbance, rule) = (index / 4, index % 4);
+        let place = disturbance + rule;
+        cells[index] =
+            (RULES[rule], DISTURBANCES[disturbance], ACTORS[place % 3], THREADS[place % 2]);
         index += 1;
     }
     cells

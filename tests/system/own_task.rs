@@ -58,6 +58,14 @@ fn a_key_is_explained_with_its_value_origin_default_and_effect() {
     assert_eq!(alpha[2], "  default  0.0");
     assert!(alpha[3].starts_with("  meaning  weight of log p_theta(o)"), "{alpha:?}");
     assert_eq!(lease[4], "  effect   affects no result of the steps that are trained");
+    let own = succeeded(&["config", "hasac.batch"]);
+    assert!(
+        own.starts_with(
+            "hasac.batch = none\n  set by   configs/algorithms/hasac.toml; no effect: it needs algorithm = hasac\n  \
+             default  256\n"
+        ),
+        "{own}"
+    );
     let unknown = refused(&["config", "surprise.alfa"]);
     assert!(
         unknown.trim_end().ends_with("unknown key `surprise.alfa`; did you mean `surprise.alpha`?"),

@@ -38,6 +38,19 @@ pub(crate) const SMALL_MADDPG: [&str; 8] = [
     "maddpg.warm_up=160",
 ];
 
+/// HASAC with a small replay and small networks; two of six iterations only warm up.
+pub(crate) const SMALL_HASAC: [&str; 9] = [
+    "algorithm=hasac",
+    "policy.width=8",
+    "policy.layers=1",
+    "critic.layers=1",
+    "hasac.replay=200",
+    "hasac.batch=16",
+    "hasac.n_step=3",
+    "hasac.warm_up=160",
+    "hasac.updates_per_step=0.2",
+];
+
 /// The length of a run of two iterations without evaluations.
 pub(crate) const SHORT: [&str; 2] = ["run.iterations=2", "evaluation.every_steps=0"];
 
@@ -51,7 +64,7 @@ pub(crate) fn command(arguments: &[&str]) -> Command {
 pub(crate) fn tiny(role: &str, folder: &Path, more: &[&str]) -> Command {
     let has = |setting: &str| more.contains(&setting);
     let mut without = Vec::new();
-    if has("algorithm=maddpg") {
+    if has("algorithm=maddpg") || has("algorithm=hasac") {
         without.extend(["policy.", "influence.", "update.epochs", "critic.epochs"]);
     }
     if has("algorithm=mappo") {

@@ -11,8 +11,8 @@ use crate::cue_service::{CueService, Faults};
 use crate::processes::{Background, children, signal};
 use crate::roles::another_build;
 use crate::runs::{
-    Runs, SHORT, SMALL_MADDPG, command, evaluated, failed, inspect, metrics, refused, succeeded,
-    success, text, tiny, train,
+    Runs, SHORT, SMALL_HASAC, SMALL_MADDPG, command, evaluated, failed, inspect, metrics, refused,
+    succeeded, success, text, tiny, train,
 };
 
 /// A run of six iterations of 80 steps: with checkpoints after 2, 4 and 6, and evaluations there and at the start.
@@ -72,6 +72,7 @@ fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_fo
         // Every step depends on the length of the run.
         ("decay", &["update.learning_rate_decay=linear"]),
         ("maddpg", &SMALL_MADDPG),
+        ("hasac", &SMALL_HASAC),
     ] {
         let runs = Runs::new();
         let folder = runs.folder(name);

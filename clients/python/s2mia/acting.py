@@ -23,7 +23,7 @@ class Agent(AgentSpec):
     observation_size: int
     """`obs`"""
     distribution: str
-    """`gaussian`, `categorical`, `clamped_gaussian` or `uniform`."""
+    """`gaussian`, `categorical`, `clamped_gaussian`, `uniform` or `tanh_gaussian`."""
     hidden_size: int
     """Width of its recurrent state; 0 without one."""
 

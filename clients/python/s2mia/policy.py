@@ -1,7 +1,8 @@
 """The networks and distributions of a snapshot in NumPy, for an actor that shares no code with the program.
 
 A snapshot is a safetensors file with the policies' specs in its metadata; arrays have PyTorch's names and layout.
-Shapes: `R` rows, `obs`, `act` and `H` as in trajectory.proto; `out` outputs: means or logits.
+Shapes: `R` rows, `obs`, `act` and `H` as in trajectory.proto; `out` outputs: means, means
+and then `l` with log sigma = -5 + 3.5 (tanh(l) + 1), or logits.
 """
 
 import json
@@ -16,7 +17,9 @@ Floats = NDArray[np.float32]
 EPSILON = 1e-5
 # Standardised features are clamped to this many standard deviations.
 LIMIT = 10.0
-_DISTRIBUTIONS = ("gaussian", "categorical", "deterministic", "uniform")
+# As `policy/src/tanh_gaussian.rs`: from this tanh(u) on, an action is at the edge of its range.
+EDGE = 1 - 2.0**-20
+_DISTRIBUTIONS = ("gaussian", "categorical", "deterministic", "uniform", "tanh_gaussian")
 
 
 def _sigmoid(x: Floats) -> Floats:
@@ -71,15 +74,32 @@ class Network:
             x = self._norm("output.norm", hidden)
         else:
             for layer in range(self.spec["layers"]):
-                x = self._norm(f"layers.{layer}.norm", np.maximum(self._linear(f"layers.{layer}.linear", x), 0))
+                x = np.maximum(self._linear(f"layers.{layer}.linear", x), 0)
+                if f"layers.{layer}.norm.weight" in self.arrays:
+                    x = self._norm(f"layers.{layer}.norm", x)
         output = self._linear("head", x)
-        if self._range:
-            low, high = self._range
-            output = np.tanh(output) * np.float32((high - low) / 2) + np.float32((high + low) / 2)
+        if self._range and self.distribution != "tanh_gaussian":
+            output = self._scaled(np.tanh(output))
         return output.astype(np.float32), hidden.astype(np.float32)
 
+    def _half_and_middle(self) -> tuple[float, float]:
+        """Half the width of the action range, and its middle."""
+        assert self._range
+        low, high = self._range
+        return (high - low) / 2, (high + low) / 2
+
+    def _scaled(self, squashed: NDArray[Any]) -> Floats:
+        """Actions for numbers between -1 and 1."""
+        half, middle = self._half_and_middle()
+        return np.asarray(squashed * np.asarray(half, squashed.dtype) + np.asarray(middle, squashed.dtype), np.float32)
+
+    def _squashed_gaussian(self, output: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Means and logarithms of standard deviations `[R, act]` before tanh."""
+        mean, deviation = np.split(output.astype(np.float64), 2, axis=-1)
+        return mean, -5 + 3.5 * (np.tanh(deviation) + 1)
+
     def sigma(self) -> Floats:
-        """Standard deviations `[act]` of the noise of continuous actions."""
+        """Standard deviations `[act]` of the noise of continuous actions that are not squashed."""
         if self.distribution == "gaussian":
             return _sigmoid(self.arrays["head.log_std"]) * np.float32(self.spec["sigma_scale"])
         return np.full(self.spec["action"], self._noise_sigma, np.float32)
@@ -90,6 +110,9 @@ class Network:
             return self.mode(output + rng.gumbel(size=output.shape).astype(np.float32))
         if self._range and self.distribution == "uniform":
             return rng.uniform(*self._range, output.shape).astype(np.float32)
+        if self.distribution == "tanh_gaussian":
+            mean, log_sigma = self._squashed_gaussian(output)
+            return self._scaled(np.tanh(mean + np.exp(log_sigma) * rng.standard_normal(mean.shape)))
         action = output + self.sigma() * rng.standard_normal(output.shape)
         if self._range:
             action = np.clip(action, *self._range)
@@ -99,7 +122,19 @@ class Network:
         """The mean action, or the likeliest choice, `[R, act]`. Evaluation uses it."""
         if self.choices:
             return np.asarray(np.argmax(output, -1)[:, None], np.float32)
+        if self.distribution == "tanh_gaussian":
+            return self._scaled(np.tanh(self._squashed_gaussian(output)[0]))
         return output
+
+    def _squashed_log_prob(self, output: Floats, action: Floats) -> Floats:
+        """An action at the edge of the range has the density of the `u` closest to the mean."""
+        (mean, log_sigma), (half, middle) = self._squashed_gaussian(output), self._half_and_middle()
+        value = (action.astype(np.float64) - middle) / half
+        u = np.arctanh(np.clip(value, -EDGE, EDGE))
+        u = np.where(value >= EDGE, np.maximum(u, mean), np.where(value <= -EDGE, np.minimum(u, mean), u))
+        gaussian = -0.5 * ((u - mean) / np.exp(log_sigma)) ** 2 - log_sigma - 0.5 * math.log(2 * math.pi)
+        slope = 2 * (math.log(2) - np.abs(u) - np.log1p(np.exp(-2 * np.abs(u))))
+        return np.asarray((gaussian - math.log(half) - slope).sum(-1), np.float32)
 
     def log_prob(self, output: Floats, action: Floats) -> Floats:
         """Log-densities or log-probabilities `[R]` of actions `[R, act]`, nats."""
@@ -110,6 +145,8 @@ class Network:
         if self._range and self.distribution == "uniform":
             low, high = self._range
             return np.full(len(action), -action.shape[1] * math.log(high - low), np.float32)
+        if self.distribution == "tanh_gaussian":
+            return self._squashed_log_prob(output, action)
         sigma = self.sigma()
         deviation = (action - output) / sigma
         terms = -0.5 * deviation**2 - np.log(sigma) - 0.5 * math.log(2 * math.pi)

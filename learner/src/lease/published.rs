@@ -55,7 +55,7 @@ pub fn demand_sizes(
     let sizes = |policy: &ActorPolicy| {
         let choices = match policy.head() {
             Head::Categorical { choices } => Some(choices),
-            Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => None,
+            _ => None,
         };
         (policy.observation_size(), policy.action_size(), choices, policy.hidden_size())
     };

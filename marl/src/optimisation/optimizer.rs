@@ -10,6 +10,7 @@ use crate::optimisation::gradient::Gradients;
 use crate::optimisation::learning_rate::adapted;
 use crate::state::{Visitor, visit_count, visit_number, visit_spans};
 
+/// Usual decay of the first moment.
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
 
@@ -28,6 +29,8 @@ pub(crate) struct AdamConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Adam {
     config: AdamConfig,
+    /// Decay of the first moment.
+    beta_1: f64,
     /// Fraction of the configured learning rate in this iteration. Not part of the stored state.
     decay: f64,
     /// Fraction of the configured learning rate after adaptation to the divergence.
@@ -47,6 +50,7 @@ impl Adam {
         let zeros: Vec<Vec<f32>> = parameters.vars().iter().map(zeros).collect();
         Self {
             config,
+            beta_1: BETA_1,
             decay: 1.0,
             adapted: 1.0,
             spans: parameters.spans().to_vec(),
@@ -55,6 +59,11 @@ impl Adam {
             steps: 0,
             skipped: 0,
         }
+    }
+
+    /// The same optimiser with the decay `beta_1` of the first moment.
+    pub(crate) fn with_first_decay(self, beta_1: f64) -> Self {
+        Self { beta_1, ..self }
     }
 
     /// Sets the fraction of the configured learning rate for the next steps. Not part of the stored state.
@@ -95,7 +104,8 @@ impl Adam {
         let scale = (self.config.max_gradient_norm / (norm + 1e-6)).min(1.0);
         let constants = StepConstants {
             scale,
-            length: self.learning_rate() / (1.0 - pow(BETA_1, self.steps as f64)),
+            beta_1: self.beta_1,
+            length: self.learning_rate() / (1.0 - pow(self.beta_1, self.steps as f64)),
             root: sqrt(1.0 - pow(BETA_2, self.steps as f64)),
             epsilon: self.config.epsilon,
         };
@@ -141,6 +151,7 @@ impl Adam {
 struct StepConstants {
     /// Factor that clips the gradient.
     scale: f64,
+    beta_1: f64,
     /// `lr / (1 - b1^t)`.
     length: f64,
     /// `sqrt(1 - b2^t)`.
@@ -155,7 +166,7 @@ impl StepConstants {
         let [scale, length, root, epsilon] =
             [self.scale, self.length, self.root, self.epsilon].map(|x| x as f32);
         let [keep_1, take_1, keep_2, take_2] =
-            [BETA_1, 1.0 - BETA_1, BETA_2, 1.0 - BETA_2].map(|x| x as f32);
+            [self.beta_1, 1.0 - self.beta_1, BETA_2, 1.0 - BETA_2].map(|x| x as f32);
         let moments = first.iter_mut().zip(second);
         for ((value, &gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments) {
             let gradient = gradient * scale;

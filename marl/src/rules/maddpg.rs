@@ -1,33 +1,26 @@
-//! MADDPG: deterministic actors that maximise central action values, trained from a replay.
-//!
-//! The warm-up and the number of optimiser steps per iteration are counted in environment steps, so that a run does not
-//! depend on which actors compute it. The snapshot determines whether actors act uniformly or add noise to the mean.
+//! MADDPG: deterministic actors that maximise central action values, trained from a replay. The snapshot determines
+//! whether actors act uniformly or add noise to the mean.
 
 mod agent;
 mod q;
-mod replay;
 
-use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::randomness::RunSeed;
 use policy::{PolicyConfig, PolicySnapshot};
 use rayon::prelude::*;
 
-use crate::config::{MaddpgConfig, TrainingConfig};
-use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
+use crate::config::TrainingConfig;
+use crate::data::batch::{Batch, Problem, Rewards};
 use crate::error::MarlError;
 use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
 use crate::rules::maddpg::agent::{MaddpgAgent, StepMetrics};
-use crate::rules::maddpg::replay::{NStepHorizon, Replay};
+use crate::rules::off_policy::ReplayedExperience;
+use crate::rules::off_policy::replay::Sample;
 use crate::state::{StoredState, Visitor};
 
 /// MADDPG with one action value per agent.
 pub(crate) struct Maddpg {
-    config: MaddpgConfig,
-    gamma: f64,
-    problem: Problem,
-    chunk_steps: usize,
-    seed: RunSeed,
     agents: Vec<MaddpgAgent>,
-    replay: Replay,
+    experience: ReplayedExperience,
 }
 
 impl Maddpg {
@@ -44,38 +37,20 @@ impl Maddpg {
         let agents = (0..problem.agents.len())
             .map(|index| MaddpgAgent::new(config, policy, problem, seed, index))
             .collect::<Result<_, _>>()?;
-        Ok(Self {
-            replay: Replay::new(problem, config.maddpg.replay),
-            gamma: config.update.gamma,
-            config: config.maddpg.clone(),
-            problem: problem.clone(),
-            chunk_steps: policy.backpropagation_steps,
-            seed,
-            agents,
-        })
-    }
-
-    /// Optimiser steps that are due after the first `steps` environment steps.
-    fn due(&self, steps: u64) -> u64 {
-        let learning = steps.saturating_sub(self.config.warm_up);
-        libm::floor(self.config.updates_per_step * learning as f64) as u64
+        let settings = (&config.maddpg).into();
+        let experience = ReplayedExperience::new(settings, (config, policy), problem, seed);
+        Ok(Self { agents, experience })
     }
 
     /// One optimiser step of every agent, all with the same transitions.
-    fn learn(&mut self, draw: Draw) -> Result<Vec<StepMetrics>, MarlError> {
-        let horizon = NStepHorizon { gamma: self.gamma, steps: self.config.n_step };
-        let mut rng = generator(self.seed, draw);
-        let sample = self.replay.sample(self.config.batch, horizon, &mut rng);
-        let next = self.agents.par_iter().map(|agent| agent.next_actions(&sample));
+    fn learn(&mut self, sample: &Sample) -> Result<Vec<StepMetrics>, MarlError> {
+        let next = self.agents.par_iter().map(|agent| agent.next_actions(sample));
         let next = next.collect::<Result<Vec<_>, _>>()?;
-        self.agents.par_iter_mut().map(|agent| agent.learn(&sample, &next)).collect()
+        self.agents.par_iter_mut().map(|agent| agent.learn(sample, &next)).collect()
     }
 
     fn report(&self, updates: u64, sums: &[StepMetrics]) -> Report {
-        let mut report = vec![
-            ("replay/transitions".to_owned(), self.replay.len() as f64),
-            ("replay/updates".to_owned(), updates as f64),
-        ];
+        let mut report = self.experience.report(updates);
         if updates == 0 {
             return report;
         }
@@ -107,16 +82,11 @@ impl Algorithm for Maddpg {
         rewards: &Rewards,
         iteration: u64,
     ) -> Result<Report, MarlError> {
-        batch.check(&self.problem, self.chunk_steps, &vec![0; self.agents.len()])?;
-        check_rewards(rewards, self.agents.len(), batch.rows())?;
-        let before = self.replay.rows_added();
-        // Without surprise every agent's reward is the team's, which the replay stores once.
-        self.replay.add(batch)?;
-        let updates = self.due(self.replay.rows_added()) - self.due(before);
+        let updates = self.experience.add(batch, rewards)?;
         let mut sums = vec![StepMetrics::default(); self.agents.len()];
         for step in 0..updates {
-            let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step as u32);
-            for (sum, figures) in sums.iter_mut().zip(self.learn(draw)?) {
+            let sample = self.experience.sample(iteration, step as u32);
+            for (sum, figures) in sums.iter_mut().zip(self.learn(&sample)?) {
                 sum.value_loss += figures.value_loss;
                 sum.action_value += figures.action_value;
                 sum.gradient_norm += figures.gradient_norm;
@@ -126,14 +96,8 @@ impl Algorithm for Maddpg {
     }
 
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
-        let agents = self.agents.iter().map(MaddpgAgent::policy).collect::<Result<Vec<_>, _>>()?;
-        let warming_up = self.replay.rows_added() < self.config.warm_up;
-        let agents = if warming_up {
-            agents.into_iter().map(policy::ActorPolicy::uniform).collect()
-        } else {
-            agents
-        };
-        Ok(PolicySnapshot { agents })
+        let agents = self.agents.iter().map(MaddpgAgent::policy).collect::<Result<_, _>>()?;
+        Ok(self.experience.snapshot(agents))
     }
 }
 
@@ -144,6 +108,6 @@ impl StoredState for Maddpg {
 
     fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
         self.agents.iter_mut().try_for_each(|agent| agent.visit(visitor))?;
-        self.replay.visit(visitor)
+        self.experience.visit(visitor)
     }
 }

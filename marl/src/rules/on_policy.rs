@@ -314,7 +314,7 @@ fn entropy_and_sigma(
     let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
     Ok(match policy.head() {
         Head::Categorical { .. } => vec![("entropy", figures.entropy)],
-        Head::Gaussian | Head::Deterministic { .. } | Head::Uniform { .. } => vec![
+        _ => vec![
             ("entropy", gaussian::entropy(&sigma)),
             ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
             ("sigma_smallest", sigma.iter().fold(f64::INFINITY, |least, &x| least.min(x))),

@@ -22,11 +22,17 @@ const RULES: [(Rule, Sharing); 3] = [
 ];
 
 const MADDPG: (Rule, Sharing) = (Rule::Maddpg, Sharing::Separate);
+const HASAC: (Rule, Sharing) = (Rule::Hasac, Sharing::Separate);
+
+/// Whether the rule learns from a replay, with actors without memory.
+fn off_policy(config: &TrainingConfig) -> bool {
+    matches!(config.update.rule, Rule::Maddpg | Rule::Hasac)
+}
 
 fn config((rule, sharing): (Rule, Sharing)) -> TrainingConfig {
     let mut config = sample::config();
     (config.update.rule, config.update.parameters) = (rule, sharing);
-    if rule == Rule::Maddpg {
+    if off_policy(&config) {
         (config.surprise.alpha, config.influence.lambda) = (0.0, 0.0);
     }
     config
@@ -34,8 +40,7 @@ fn config((rule, sharing): (Rule, Sharing)) -> TrainingConfig {
 
 /// The rule with actors with memory, if it supports them.
 fn algorithm(config: &TrainingConfig) -> Box<dyn Algorithm> {
-    let maddpg = config.update.rule == Rule::Maddpg;
-    let core = if maddpg { CoreKind::Mlp } else { CoreKind::Gru };
+    let core = if off_policy(config) { CoreKind::Mlp } else { CoreKind::Gru };
     let policy = PolicyConfig { core, ..sample::policy() };
     build(config, &policy, &sample::problem(), RunSeed(0)).unwrap()
 }
@@ -43,7 +48,7 @@ fn algorithm(config: &TrainingConfig) -> Box<dyn Algorithm> {
 /// The sample's rollout data for the actors of [`algorithm`].
 fn batch_for(config: &TrainingConfig) -> Batch {
     let mut batch = sample::batch();
-    if config.update.rule == Rule::Maddpg {
+    if off_policy(config) {
         batch.agents.iter_mut().for_each(|agent| agent.hidden.clear());
     }
     batch
@@ -271,6 +276,7 @@ fn nan_is_rejected_by_name_and_nothing_changes() {
     for (rule, action, reward, expected) in [
         (RULES[0], f32::NAN, 0.0, "batch.agents[1].action[3] is NaN"),
         (MADDPG, 0.0, f32::NAN, "batch.rewards[1][3] is NaN"),
+        (HASAC, f32::NAN, 0.0, "batch.agents[1].action[3] is NaN"),
     ] {
         let config = config(rule);
         let mut batch = batch_for(&config);
@@ -304,5 +310,28 @@ fn maddpg_stays_finite_with_huge_numbers_and_counts_skipped_steps() {
         assert_eq!(named(&report, "agent0/skipped_steps") > 0.0, skips, "{number} {report:?}");
         assert!(numbers(&algorithm.weights().unwrap(), "").iter().all(|x| x.is_finite()));
         assert!(numbers(&algorithm.arrays().unwrap(), "optimizer/").iter().all(|x| x.is_finite()));
+    }
+}
+
+#[test]
+fn hasac_keeps_finite_weights_with_huge_numbers_and_counts_skipped_steps() {
+    type Change = fn(&mut Batch);
+    let cases: [(Change, Option<bool>); 5] = [
+        (|batch| batch.reward.iter_mut().for_each(|reward| *reward *= 1e30), Some(false)),
+        (|batch| batch.reward.fill(f32::MAX), Some(true)),
+        (|batch| batch.state.fill(1e38), None),
+        (|batch| batch.agents[0].observation.fill(f32::MAX), None),
+        (|batch| batch.reward.fill(1.0), Some(false)),
+    ];
+    for (number, (change, skips)) in cases.into_iter().enumerate() {
+        let config = config(HASAC);
+        let mut batch = batch_for(&config);
+        let mut algorithm = algorithm(&config);
+        change(&mut batch);
+        let report = algorithm.update(&batch, &plain(&batch), 0).unwrap();
+        assert!(named(&report, "replay/updates") > 10.0);
+        let skipped = named(&report, "losses/value_skipped_steps") > 0.0;
+        assert!(skips.is_none_or(|skips| skips == skipped), "{number} {report:?}");
+        assert!(numbers(&algorithm.arrays().unwrap(), "").iter().all(|x| x.is_finite()));
     }
 }

@@ -6,7 +6,7 @@ use policy::randomness::uniform;
 use rand::RngCore;
 
 use crate::harness::{TwoAgentGame, evaluate, mean_return, train};
-use crate::settings::{maddpg, on_policy};
+use crate::settings::{hasac, maddpg, on_policy};
 
 /// Displacement of the point by a full action of each agent. The two are neither equal nor orthogonal, so the best
 /// action of one agent depends on the other's. The farthest target, `(1, -1)`, takes `1 / 0.32 = 3.1` steps of the
@@ -61,7 +61,7 @@ fn skill(snapshot: &PolicySnapshot) -> (f32, f32) {
 #[test]
 fn every_rule_solves_the_reaching_task_with_and_without_memory() {
     let on_policy = on_policy().into_iter().map(|settings| (settings, 60));
-    for (settings, iterations) in on_policy.chain([(maddpg(), 40)]) {
+    for (settings, iterations) in on_policy.chain([(maddpg(), 40), (hasac(), 40)]) {
         let name = &settings.name;
         let [before, after] =
             train::<Reaching>(&settings, iterations).map(|policies| skill(&policies));

@@ -60,6 +60,14 @@ pub(crate) fn maddpg() -> Settings {
     Settings { name: "MADDPG".to_owned(), config, policy: policy(CoreKind::Mlp) }
 }
 
+/// HASAC, whose actors have no memory either.
+pub(crate) fn hasac() -> Settings {
+    let mut config = config(Rule::Hasac);
+    config.critic.layers = 2;
+    (config.critic.learning_rate, config.update.learning_rate) = (3e-3, 3e-3);
+    Settings { name: "HASAC".to_owned(), config, policy: policy(CoreKind::Mlp) }
+}
+
 fn policy(core: CoreKind) -> PolicyConfig {
     PolicyConfig {
         encoder: 16,
@@ -89,5 +97,10 @@ fn config(rule: Rule) -> TrainingConfig {
     maddpg.updates_per_step = 0.2;
     maddpg.noise = 0.2;
     maddpg.polyak = 0.02;
+    let hasac = config.hasac.as_mut().unwrap();
+    hasac.replay = 20_000;
+    hasac.batch = 64;
+    hasac.warm_up = 1000;
+    hasac.updates_per_step = 0.2;
     config
 }

@@ -1,6 +1,6 @@
 //! Settings of the reference updates: those of the file, and sizes from its arrays.
 
-use marl::config::{Rule, Sharing};
+use marl::config::{HasacConfig, Rule, Sharing};
 use marl::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, TrainingConfig};
 use policy::{CoreKind, PolicyConfig};
 
@@ -37,7 +37,7 @@ pub(crate) fn policy(reference: &ReferenceValues, core: CoreKind) -> PolicyConfi
 }
 
 /// Surprise has a weight, so that there is a value per agent. The rewards are those of the file. MADDPG makes one
-/// optimiser step from an iteration of 50 transitions.
+/// optimiser step from an iteration of 50 transitions, HASAC two.
 pub(crate) fn config(
     reference: &ReferenceValues,
     rule: Rule,
@@ -83,7 +83,26 @@ pub(crate) fn config(
     maddpg.n_step = number("maddpg.n_step") as usize;
     maddpg.updates_per_step = 0.02;
     maddpg.polyak = number("maddpg.polyak");
+    if rule == Rule::Hasac {
+        config.hasac = Some(hasac(reference));
+    }
     config
+}
+
+/// Two optimiser steps from an iteration of 50 transitions; the policies take part in the first.
+fn hasac(reference: &ReferenceValues) -> HasacConfig {
+    let number = |key: &str| reference.setting(key);
+    HasacConfig {
+        replay: 50,
+        batch: number("hasac.batch") as usize,
+        n_step: number("maddpg.n_step") as usize,
+        warm_up: 0,
+        updates_per_step: 0.04,
+        policy_every: 2,
+        norm_momentum: number("hasac.norm_momentum"),
+        initial_temperature: number("hasac.initial_temperature"),
+        first_moment: number("hasac.first_moment"),
+    }
 }
 
 pub(crate) fn batch(reference: &ReferenceValues) -> Batch {

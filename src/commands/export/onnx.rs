@@ -313,8 +313,13 @@ fn feed_forward(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
             ["sum", "positive", "normal"].map(|part| format!("layers.{layer}.{part}"));
         dense(graph, &format!("layers.{layer}.linear"), &below, &sum);
         graph.node("Relu", &[&sum], &[&positive], []);
-        norm(graph, &format!("layers.{layer}.norm"), &positive, &normal);
-        below = normal;
+        below = match agent.spec().hidden_norm() {
+            InputNorm::None => positive,
+            InputNorm::LayerNorm => {
+                norm(graph, &format!("layers.{layer}.norm"), &positive, &normal);
+                normal
+            }
+        };
     }
     below
 }
@@ -339,10 +344,20 @@ fn action(graph: &mut Graph, agent: &ActorPolicy) {
             graph.node("ArgMax", &["output"], &["action"], attributes);
             return graph.output("action", ElementType::Int64, 1);
         }
-        Head::Deterministic { low, high, .. } | Head::Uniform { low, high } => {
+        Head::Deterministic { low, high, .. }
+        | Head::Uniform { low, high }
+        | Head::TanhGaussian { low, high } => {
+            let mean = match agent.head() {
+                Head::TanhGaussian { .. } => {
+                    let halves = ["action.mean", "action.l"];
+                    graph.node("Split", &["output"], &halves, [integer("axis", 1)]);
+                    halves[0]
+                }
+                _ => "output",
+            };
             graph.constant("action.half", &[], &[0.5 * (high - low)]);
             graph.constant("action.middle", &[], &[0.5 * (high + low)]);
-            graph.node("Tanh", &["output"], &["action.tanh"], []);
+            graph.node("Tanh", &[mean], &["action.tanh"], []);
             graph.node("Mul", &["action.tanh", "action.half"], &["action.scaled"], []);
             graph.node("Add", &["action.scaled", "action.middle"], &["action"], []);
         }

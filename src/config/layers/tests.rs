@@ -221,6 +221,23 @@ fn the_default_preset_changes_nothing() {
     }
 }
 
+#[test]
+fn the_section_of_one_algorithm_is_in_the_settings_of_its_runs_only() {
+    let own = |settings: &[&str]| {
+        let keys = resolve(&request(settings)).unwrap().entries.into_keys();
+        keys.filter(|key| !DEFAULTS.contains_key(key)).collect::<Vec<_>>()
+    };
+    for algorithm in presets::ALGORITHMS {
+        let section = format!("{}.", algorithm.name);
+        let keys = own(&[&format!("algorithm={}", algorithm.name)]);
+        assert_eq!(keys.is_empty(), algorithm.name != "hasac", "{keys:?}");
+        assert!(keys.iter().all(|key| key.starts_with(&section)), "{keys:?}");
+    }
+    assert_eq!(own(&["hasac.batch=100"]), own(&["algorithm=hasac"]));
+    assert!(refusal(&["hasac.bach=100"]).ends_with("did you mean `hasac.batch`?"));
+    assert!(refusal(&["hasac.batch=many"]).ends_with("must be a whole number, found `many`"));
+}
+
 /// Whether base.toml's value of a setting was chosen here.
 fn was_tuned(key: &str) -> bool {
     let chosen =

@@ -22,6 +22,8 @@ FEW = [*SMALL, "run.iterations=2", "evaluation.every_steps=0"]
 FEW += ["environments.per_slot=4", "environments.message_steps=10"]
 ROBOT = ["halfcheetah-6x1", "run.seed=7", "run.iterations=2", "run.actors=1", "environments.count=4"]
 ROBOT += ["environments.steps=20", "environments.per_slot=2", "environments.message_steps=10", "evaluation.episodes=1"]
+# The first of two iterations warms up.
+HASAC = ["algorithm=hasac", "hasac.warm_up=80", "hasac.updates_per_step=0.1"]
 MANY = [*SMALL, "run.env_steps=30000", "evaluation.every_steps=10000"]
 
 

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import s2mia
-from conftest import ROBOT, SMALL, s2mia_run
+from conftest import HASAC, ROBOT, SMALL, s2mia_run
 from s2mia.cue import Cue
 from safetensors.numpy import load_file
 
@@ -16,6 +16,7 @@ POLICIES = {
     "without memory": [*ROBOT, "policy.core=mlp"],
     "with a layer norm": [*ROBOT, "policy.input_norm=layer_norm", "observation.norm=none"],
     "squashed": [*ROBOT, "algorithm=maddpg"],
+    "squashed with own deviations": [*ROBOT, *HASAC],
     "of choices": ["cue-2x1", "run.seed=3", "run.iterations=10", "run.actors=1"],
 }
 

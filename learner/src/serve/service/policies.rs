@@ -227,5 +227,6 @@ fn distribution(head: Head) -> wire::ActionDistribution {
         Head::Categorical { .. } => wire::ActionDistribution::Categorical,
         Head::Deterministic { .. } => wire::ActionDistribution::ClampedGaussian,
         Head::Uniform { .. } => wire::ActionDistribution::Uniform,
+        Head::TanhGaussian { .. } => wire::ActionDistribution::TanhGaussian,
     }
 }

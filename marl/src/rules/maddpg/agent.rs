@@ -13,7 +13,7 @@ use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::optimisation::layers::rows;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::rules::maddpg::q::ActionValue;
-use crate::rules::maddpg::replay::Sample;
+use crate::rules::off_policy::replay::Sample;
 use crate::state::{Visitor, visit_parameters};
 
 /// An agent in training.

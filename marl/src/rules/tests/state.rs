@@ -35,10 +35,11 @@ fn under<'a>(arrays: &'a NamedArrays, prefix: &'a str) -> impl Iterator<Item = &
 #[test]
 fn sample_reuse_is_the_epochs_or_the_replays_draws_per_transition() {
     // A tenth of a batch of 64 is 6.4.
-    for (rule, reuse) in [(HAPPO, 5.0), (MAPPO, 5.0), (MADDPG, 6.4)] {
+    for (rule, reuse) in [(HAPPO, 5.0), (MAPPO, 5.0), (MADDPG, 6.4), (HASAC, 6.4)] {
         let mut config = config(rule);
         config.update.epochs = 5;
         config.maddpg.batch = 64;
+        config.hasac.as_mut().unwrap().batch = 64;
         let found = config.sample_reuse();
         assert!((found - reuse).abs() < 1e-12, "{rule:?}: {found}, expected {reuse}");
     }
@@ -56,11 +57,12 @@ fn every_rule_and_critic_continues_bit_for_bit_from_its_stored_state() {
         (MAPPO, gru, 0.01),
         (MAPPO_SHARED, mlp, 0.01),
         (MADDPG, mlp, 0.0),
+        (HASAC, mlp, 0.0),
     ] {
         let case = format!("{rule:?} {core:?} {alpha}");
         let mut config = config(rule);
         (config.critic.core, config.surprise.alpha) = (core, alpha);
-        let on_policy = rule != MADDPG;
+        let on_policy = !off_policy(&config);
         if on_policy {
             config.critic.state_norm = StateNorm::Running;
         }
@@ -95,7 +97,7 @@ fn every_rule_and_critic_continues_bit_for_bit_from_its_stored_state() {
 #[test]
 fn every_rule_and_critic_gives_the_same_bits_on_one_two_and_three_threads() {
     let recurrent = ON_POLICY.map(|rule| (rule, CriticCore::Gru));
-    let all = [HAPPO, HAPPO_SHARED, MAPPO, MAPPO_SHARED, MADDPG];
+    let all = [HAPPO, HAPPO_SHARED, MAPPO, MAPPO_SHARED, MADDPG, HASAC];
     for (rule, core) in all.map(|rule| (rule, CriticCore::Mlp)).into_iter().chain(recurrent) {
         let mut config = config(rule);
         config.critic.core = core;
@@ -117,7 +119,7 @@ fn every_rule_and_critic_gives_the_same_bits_on_one_two_and_three_threads() {
 
 #[test]
 fn weights_are_the_arrays_under_their_prefix_and_agents_with_shared_ones_act_equally() {
-    for rule in [HAPPO, HAPPO_SHARED, MAPPO, MAPPO_SHARED, MADDPG] {
+    for rule in [HAPPO, HAPPO_SHARED, MAPPO, MAPPO_SHARED, MADDPG, HASAC] {
         let config = config(rule);
         let mut algorithm = algorithm(&config);
         update(algorithm.as_mut(), &config, 0);
@@ -135,9 +137,14 @@ fn weights_are_the_arrays_under_their_prefix_and_agents_with_shared_ones_act_equ
 }
 
 #[test]
-fn maddpg_does_not_learn_during_its_warm_up() {
-    let mut config = config(MADDPG);
+fn rules_with_a_replay_do_not_learn_during_their_warm_up() {
+    [MADDPG, HASAC].into_iter().for_each(assert_warm_up);
+}
+
+fn assert_warm_up(rule: (Rule, Sharing)) {
+    let mut config = config(rule);
     config.maddpg.warm_up = 400;
+    config.hasac.as_mut().unwrap().warm_up = 400;
     let mut algorithm = algorithm(&config);
     let start = algorithm.weights().unwrap();
     let head = |algorithm: &dyn Algorithm| algorithm.snapshot().unwrap().agents[1].spec().head();
@@ -147,7 +154,8 @@ fn maddpg_does_not_learn_during_its_warm_up() {
         update(algorithm.as_mut(), &config, iteration);
     }
     assert_eq!(algorithm.weights().unwrap(), start);
-    assert!(matches!(head(algorithm.as_ref()), Head::Deterministic { .. }));
+    let trained = head(algorithm.as_ref());
+    assert!(matches!(trained, Head::Deterministic { .. } | Head::TanhGaussian { .. }));
     update(algorithm.as_mut(), &config, 2);
     assert_ne!(algorithm.weights().unwrap(), start);
 }

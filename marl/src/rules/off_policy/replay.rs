@@ -31,7 +31,7 @@ struct Columns {
 
 /// A ring buffer of transitions; the oldest are overwritten first. Rows are counted from the start of the run: row
 /// `t * B + b`.
-pub(super) struct Replay {
+pub(crate) struct Replay {
     columns: Columns,
     capacity: usize,
     environments: usize,
@@ -45,9 +45,9 @@ pub(super) struct Replay {
 
 /// Discount, and number of rewards before the bootstrap.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct NStepHorizon {
-    pub(super) gamma: f64,
-    pub(super) steps: usize,
+pub(crate) struct NStepHorizon {
+    pub(crate) gamma: f64,
+    pub(crate) steps: usize,
 }
 
 /// The n-step target of a row.
@@ -62,25 +62,25 @@ struct NStepTarget<'a> {
 
 /// States and observations of `R` transitions.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct NetworkInputs {
+pub(crate) struct NetworkInputs {
     /// `[R, S]`.
-    pub(super) state: Vec<f32>,
+    pub(crate) state: Vec<f32>,
     /// `[N][R, obs]`.
-    pub(super) observation: Vec<Vec<f32>>,
+    pub(crate) observation: Vec<Vec<f32>>,
 }
 
 /// A batch of `R` transitions.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Sample {
-    pub(super) now: NetworkInputs,
+pub(crate) struct Sample {
+    pub(crate) now: NetworkInputs,
     /// `[N][R, act]`.
-    pub(super) action: Vec<Vec<f32>>,
+    pub(crate) action: Vec<Vec<f32>>,
     /// Discounted rewards before the bootstrap, `[R]`.
-    pub(super) reward: Vec<f64>,
+    pub(crate) reward: Vec<f64>,
     /// Discount of the bootstrapped value, `[R]`; 0 after a termination.
-    pub(super) discount: Vec<f64>,
+    pub(crate) discount: Vec<f64>,
     /// State and observations that the value is bootstrapped from.
-    pub(super) next: NetworkInputs,
+    pub(crate) next: NetworkInputs,
 }
 
 impl Columns {
@@ -119,7 +119,7 @@ fn split(row: &[f32], widths: &[usize], agents: &mut Vec<Vec<f32>>) {
 
 impl Replay {
     /// An empty replay for `capacity` transitions.
-    pub(super) fn new(problem: &Problem, capacity: usize) -> Self {
+    pub(crate) fn new(problem: &Problem, capacity: usize) -> Self {
         Self {
             columns: Columns::of(problem),
             capacity,
@@ -132,12 +132,12 @@ impl Replay {
     }
 
     /// Number of transitions stored so far, including overwritten ones.
-    pub(super) fn rows_added(&self) -> u64 {
+    pub(crate) fn rows_added(&self) -> u64 {
         self.steps * self.environments as u64
     }
 
     /// Number of transitions in the replay.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.ends.len()
     }
 
@@ -155,7 +155,7 @@ impl Replay {
     }
 
     /// Stores an iteration, the continuation of the previous one.
-    pub(super) fn add(&mut self, batch: &Batch) -> Result<(), MarlError> {
+    pub(crate) fn add(&mut self, batch: &Batch) -> Result<(), MarlError> {
         assert!(
             self.capacity >= batch.environments,
             "a replay of {} transitions for {} environments",
@@ -238,7 +238,7 @@ impl Replay {
     }
 
     /// `count` transitions, sampled uniformly with replacement.
-    pub(super) fn sample(
+    pub(crate) fn sample(
         &self,
         count: usize,
         horizon: NStepHorizon,
@@ -260,7 +260,7 @@ impl Replay {
     }
 
     /// Visits `replay/*`: the ring buffer as stored, and the final states with their rows.
-    pub(super) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+    pub(crate) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
         let (width, seen) = (self.columns.width(), self.columns.seen());
         let mut counts = vec![self.steps as i64, self.environments as i64];
         let mut after: Vec<i64> = self.finals.keys().map(|&row| row as i64).collect();

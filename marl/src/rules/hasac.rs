@@ -1,0 +1,254 @@
+//! HASAC: heterogeneous-agent soft actor-critic (Liu et al., ICLR 2024) with batch norm and without target networks, as
+//! CrossQ (Bhatt et al., ICLR 2024).
+//!
+//! Twin critics value joint actions. Agents are updated one after the other in random order, each against the newest
+//! actions of those before it.
+
+mod actions;
+mod agent;
+mod columns;
+mod critics;
+mod network;
+
+use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::{PolicyConfig, PolicySnapshot};
+use rand::RngCore;
+use rayon::prelude::*;
+
+use crate::config::TrainingConfig;
+use crate::data::batch::{Batch, Problem, Rewards};
+use crate::error::MarlError;
+use crate::optimisation::minibatch::permutation;
+use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
+use crate::rules::hasac::actions::DrawnActions;
+use crate::rules::hasac::agent::{HasacAgent, PolicyMetrics};
+use crate::rules::hasac::critics::{CriticMetrics, TwinCritics};
+use crate::rules::off_policy::ReplayedExperience;
+use crate::rules::off_policy::replay::Sample;
+use crate::state::{StoredState, Visitor, visit_count};
+
+/// HASAC with twin critics.
+pub(crate) struct Hasac {
+    policy_every: u64,
+    seed: RunSeed,
+    agents: Vec<HasacAgent>,
+    critics: TwinCritics,
+    experience: ReplayedExperience,
+    /// Optimiser steps of the critics so far.
+    steps: i64,
+}
+
+/// Sums of metrics over the optimiser steps of an iteration.
+struct Sums {
+    critics: CriticMetrics,
+    policy_steps: u64,
+    policies: Vec<PolicyMetrics>,
+}
+
+impl Hasac {
+    /// Networks for `problem`, with weights initialised by `seed`, and an empty replay.
+    ///
+    /// # Errors
+    /// If the section `hasac` is missing; if a tensor operation fails.
+    pub(crate) fn new(
+        config: &TrainingConfig,
+        policy: &PolicyConfig,
+        problem: &Problem,
+        seed: RunSeed,
+    ) -> Result<Self, MarlError> {
+        let Some(own) = &config.hasac else {
+            return Err(MarlError::Batch("update.rule = hasac needs the section hasac".to_owned()));
+        };
+        let agent = |index| HasacAgent::new((config, own), policy, problem, seed, index);
+        Ok(Self {
+            policy_every: own.policy_every,
+            seed,
+            agents: (0..problem.agents.len()).map(agent).collect::<Result<_, _>>()?,
+            critics: TwinCritics::new((config, own), problem, seed)?,
+            experience: ReplayedExperience::new(own.into(), (config, policy), problem, seed),
+            steps: 0,
+        })
+    }
+
+    /// One optimiser step of the critics, and one of every policy if it is due.
+    fn learn(&mut self, iteration: u64, step: u32, sums: &mut Sums) -> Result<(), MarlError> {
+        let sample = self.experience.sample(iteration, step);
+        let draw = Draw::of(Purpose::UpdateAction).iteration(iteration).step(step);
+        let noise = |agent: usize| generator(self.seed, draw.agent(agent as u32));
+        let mut noise: Vec<_> = (0..self.agents.len()).map(noise).collect();
+        let figures = self.fit_critics(&sample, &mut noise)?;
+        sums.critics.value_loss += figures.value_loss;
+        sums.critics.gradient_norm += figures.gradient_norm;
+        if (self.steps as u64).is_multiple_of(self.policy_every) {
+            let order = Draw::of(Purpose::AgentOrder).iteration(iteration).step(step);
+            let order = permutation(self.agents.len(), &mut generator(self.seed, order));
+            let figures = self.improve_policies(&sample, &order, &mut noise)?;
+            sums.policy_steps += 1;
+            for (sum, figures) in sums.policies.iter_mut().zip(figures) {
+                sum.policy_loss += figures.policy_loss;
+                sum.action_value += figures.action_value;
+                sum.entropy += figures.entropy;
+                sum.gradient_norm += figures.gradient_norm;
+            }
+        }
+        self.steps += 1;
+        Ok(())
+    }
+
+    /// Actions of all agents for their observations `[N][R, obs]`.
+    fn act<R: RngCore + Send>(
+        &mut self,
+        observation: &[Vec<f32>],
+        noise: &mut [R],
+    ) -> Vec<DrawnActions> {
+        let inputs = observation.par_iter().zip(noise);
+        let agents = self.agents.par_iter_mut().zip(inputs);
+        agents.map(|(agent, (observation, noise))| agent.act(observation, noise)).collect()
+    }
+
+    /// One step of the critics towards
+    /// `sum_k gamma^k r_(t+k) + gamma^m (min_j Q_j(s', a') - sum_i temperature_i log pi_i(a'_i|o'_i))`.
+    fn fit_critics<R: RngCore + Send>(
+        &mut self,
+        sample: &Sample,
+        noise: &mut [R],
+    ) -> Result<CriticMetrics, MarlError> {
+        let next = self.act(&sample.next.observation, noise);
+        let temperatures = self.agents.iter().map(HasacAgent::temperature);
+        let temperatures = temperatures.collect::<Result<Vec<_>, _>>()?;
+        let taken: Vec<&[f32]> = sample.action.iter().map(Vec::as_slice).collect();
+        let following: Vec<&[f32]> = next.iter().map(|drawn| drawn.action.as_slice()).collect();
+        let mut input = self.critics.joint_input(&sample.now.state, &taken);
+        input.extend(self.critics.joint_input(&sample.next.state, &following));
+        self.critics.fit(&input, |values| targets(sample, values, &next, &temperatures))
+    }
+
+    /// One step of every policy in `order`, against the newest actions of those before it and the current actions of the
+    /// others.
+    fn improve_policies<R: RngCore + Send>(
+        &mut self,
+        sample: &Sample,
+        order: &[usize],
+        noise: &mut [R],
+    ) -> Result<Vec<PolicyMetrics>, MarlError> {
+        let mut critics = self.critics.frozen()?;
+        let drawn = self.act(&sample.now.observation, noise);
+        let mut actions: Vec<Vec<f32>> = drawn.into_iter().map(|drawn| drawn.action).collect();
+        let mut figures = vec![PolicyMetrics::default(); self.agents.len()];
+        for &index in order {
+            let observation = &sample.now.observation[index];
+            let drawn = self.agents[index].act_in_training(observation, &mut noise[index])?;
+            actions[index].clone_from(&drawn.action);
+            let joint: Vec<&[f32]> = actions.iter().map(Vec::as_slice).collect();
+            let input = self.critics.joint_input(&sample.now.state, &joint);
+            let (values, by_input) = critics.smaller(&input);
+            let by_action = self.columns_of(index, &by_input);
+            let agent = &mut self.agents[index];
+            figures[index] = agent.improve(&drawn, &values, &by_action)?;
+            actions[index] = agent.act(observation, &mut noise[index]).action;
+        }
+        Ok(figures)
+    }
+
+    /// The columns of the joint input `[R, S + A]` that are actions of agent `index`, `[R, act]`.
+    fn columns_of(&self, index: usize, input: &[f32]) -> Vec<f32> {
+        let after: usize = self.agents[index + 1..].iter().map(HasacAgent::actions).sum();
+        let width = self.critics.inputs();
+        let columns = width - after - self.agents[index].actions()..width - after;
+        input.chunks_exact(width).flat_map(|row| &row[columns.clone()]).copied().collect()
+    }
+
+    fn report(&self, updates: u64, sums: &Sums) -> Result<Report, MarlError> {
+        let mut report = self.experience.report(updates);
+        if updates == 0 {
+            return Ok(report);
+        }
+        let share = 1.0 / updates as f64;
+        for (name, value) in [
+            ("value_loss", share * sums.critics.value_loss),
+            ("value_gradient_norm", share * sums.critics.gradient_norm),
+            ("value_skipped_steps", self.critics.skipped() as f64),
+        ] {
+            report.push((format!("losses/{name}"), value));
+        }
+        let share = 1.0 / sums.policy_steps.max(1) as f64;
+        for (index, (agent, sum)) in self.agents.iter().zip(&sums.policies).enumerate() {
+            for (name, value) in [
+                ("policy_loss", share * sum.policy_loss),
+                ("action_value", share * sum.action_value),
+                ("entropy", share * sum.entropy),
+                ("temperature", agent.temperature()?),
+                ("gradient_norm", share * sum.gradient_norm),
+                ("skipped_steps", agent.skipped() as f64),
+            ] {
+                report.push((format!("agent{index}/{name}"), value));
+            }
+        }
+        Ok(report)
+    }
+}
+
+/// The critics' targets, `[R]`, from their values in the next states, `[2][R]`.
+fn targets(
+    sample: &Sample,
+    values: [&[f32]; 2],
+    next: &[DrawnActions],
+    temperatures: &[f64],
+) -> Vec<f64> {
+    let target = |row: usize| {
+        let [first, second] = values.map(|values| f64::from(values[row]));
+        let agents = next.iter().zip(temperatures);
+        let bonus: f64 = agents.map(|(drawn, weight)| weight * drawn.log_prob[row]).sum();
+        let value = if first <= second { first } else { second } - bonus;
+        // A termination has no next value, whatever the critics make of the state after it.
+        let next = if sample.discount[row] == 0.0 { 0.0 } else { sample.discount[row] * value };
+        sample.reward[row] + next
+    };
+    (0..sample.reward.len()).map(target).collect()
+}
+
+impl Algorithm for Hasac {
+    fn scale_learning_rates(&mut self, share: f64) {
+        self.critics.scale_learning_rates(share);
+        self.agents.iter_mut().for_each(|agent| agent.scale_learning_rates(share));
+    }
+
+    fn update(
+        &mut self,
+        batch: &Batch,
+        rewards: &Rewards,
+        iteration: u64,
+    ) -> Result<Report, MarlError> {
+        let updates = self.experience.add(batch, rewards)?;
+        let mut sums = Sums {
+            critics: CriticMetrics::default(),
+            policy_steps: 0,
+            policies: vec![PolicyMetrics::default(); self.agents.len()],
+        };
+        for step in 0..updates {
+            self.learn(iteration, step as u32, &mut sums)?;
+        }
+        self.report(updates, &sums)
+    }
+
+    fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
+        let agents = self.agents.iter().map(HasacAgent::policy).collect::<Result<_, _>>()?;
+        Ok(self.experience.snapshot(agents))
+    }
+}
+
+impl StoredState for Hasac {
+    fn prefixes(&self) -> &'static [&'static str] {
+        &PREFIXES
+    }
+
+    fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
+        self.agents.iter_mut().try_for_each(|agent| agent.visit(visitor))?;
+        self.critics.visit(visitor)?;
+        visit_count(visitor, "optimizer/steps", &mut self.steps)?;
+        self.experience.visit(visitor)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,133 @@
+//! Targets, one agent's update and the temperature, in cases small enough to check by hand.
+
+use super::*;
+use crate::config::HasacConfig;
+use crate::data::batch::AgentShape;
+use crate::sample;
+
+/// The sample's settings with small networks.
+fn configs() -> (TrainingConfig, PolicyConfig) {
+    let mut config = sample::config();
+    (config.critic.width, config.update.learning_rate) = (16, 1e-2);
+    let policy = PolicyConfig { width: 16, core: policy::CoreKind::Mlp, ..sample::policy() };
+    (config, policy)
+}
+
+/// Agents with two observed numbers and one action.
+fn problem(agents: usize) -> Problem {
+    let usual = sample::problem().agents.remove(0);
+    let shape = AgentShape { observation: 2, action: 1, ..usual };
+    Problem { agents: vec![shape; agents], state: 3 }
+}
+
+fn own(config: &TrainingConfig) -> &HasacConfig {
+    config.hasac.as_ref().unwrap()
+}
+
+fn noise() -> impl RngCore + Send {
+    generator(RunSeed(2), Draw::of(Purpose::UpdateAction))
+}
+
+fn normals(count: usize) -> Vec<f32> {
+    let mut rng = generator(RunSeed(3), Draw::of(Purpose::Probe));
+    (0..count).map(|_| policy::standard_normal(&mut rng)).collect()
+}
+
+#[test]
+fn a_target_is_the_smaller_value_and_every_agents_entropy_or_the_reward_alone_at_the_end() {
+    let next = [[-1.0, 9.0], [4.0, 9.0]].map(|log_prob| {
+        let mut drawn = DrawnActions::default();
+        drawn.log_prob = log_prob.to_vec();
+        drawn
+    });
+    let mut sample = Sample::default();
+    (sample.reward, sample.discount) = (vec![1.0, 2.0], vec![0.9, 0.0]);
+    // 2 - (.5 (-1) + .25 * 4) = 1.5, and 1 + .9 * 1.5 = 2.35; the second step terminates.
+    let found = targets(&sample, [&[3.0, f32::NAN], &[2.0, 1.0]], &next, &[0.5, 0.25]);
+    assert!((found[0] - 2.35).abs() < 1e-12 && found[1] == 2.0, "{found:?}");
+}
+
+#[test]
+fn with_one_agent_the_sequential_update_is_that_of_soft_actor_critic() {
+    let (config, policy) = configs();
+    let hasac = || Hasac::new(&config, &policy, &problem(1), RunSeed(0)).unwrap();
+    let (mut sequential, mut plain) = (hasac(), hasac());
+    let mut sample = Sample::default();
+    sample.now.state = normals(30);
+    sample.now.observation = vec![normals(20)];
+    sequential.improve_policies(&sample, &[0], &mut [noise()]).unwrap();
+    let mut noise = noise();
+    let (agent, observation) = (&mut plain.agents[0], &sample.now.observation[0]);
+    agent.act(observation, &mut noise);
+    let drawn = agent.act_in_training(observation, &mut noise).unwrap();
+    let input = plain.critics.joint_input(&sample.now.state, &[&drawn.action]);
+    let (values, by_input) = plain.critics.frozen().unwrap().smaller(&input);
+    // State features, then the action.
+    let by_action: Vec<f32> = by_input.chunks_exact(4).map(|row| row[3]).collect();
+    agent.improve(&drawn, &values, &by_action).unwrap();
+    assert_eq!(sequential.arrays().unwrap(), plain.arrays().unwrap());
+    assert_ne!(plain.arrays().unwrap(), hasac().arrays().unwrap());
+}
+
+#[test]
+fn an_agent_is_updated_against_the_newest_actions_of_those_before_it() {
+    let (config, policy) = configs();
+    let trained = |order: [usize; 2]| {
+        let mut hasac = Hasac::new(&config, &policy, &problem(2), RunSeed(0)).unwrap();
+        let mut sample = Sample::default();
+        sample.now.state = normals(30);
+        sample.now.observation = vec![normals(20); 2];
+        hasac.improve_policies(&sample, &order, &mut [noise(), noise()]).unwrap();
+        let weights = hasac.weights().unwrap();
+        [0, 1]
+            .map(|agent| weights[&format!("weights/agent_{agent}.layers.0.linear.weight")].clone())
+    };
+    // Either agent's step depends on whether the other one has moved.
+    let (forward, backward) = (trained([0, 1]), trained([1, 0]));
+    assert!(forward[0] != backward[0] && forward[1] != backward[1]);
+}
+
+#[test]
+fn the_gradient_of_the_smaller_value_is_that_of_one_critic_in_every_row() {
+    let (config, policy) = configs();
+    let hasac = Hasac::new(&config, &policy, &problem(1), RunSeed(0)).unwrap();
+    let mut critics = hasac.critics.frozen().unwrap();
+    let start = normals(40);
+    let (values, gradient) = critics.smaller(&start);
+    for row in 0..10 {
+        let value = |by: f32, critics: &mut critics::FrozenCritics| {
+            let mut own = start[row * 4..(row + 1) * 4].to_vec();
+            own[3] += by;
+            (f64::from(own[3]), critics.smaller(&own).0[0])
+        };
+        let (above, below) = (value(1e-3, &mut critics), value(-1e-3, &mut critics));
+        let slope = (above.1 - below.1) / (above.0 - below.0);
+        let found = f64::from(gradient[row * 4 + 3]);
+        assert!((found - slope).abs() < 2e-2 * (1.0 + slope.abs()), "{row}: {found} {slope}");
+        assert!((values[row] - value(0.0, &mut critics).1).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn the_temperature_leads_the_entropy_of_a_bandits_player_to_its_target() {
+    let (config, policy) = configs();
+    let problem = problem(1);
+    let agent = HasacAgent::new((&config, own(&config)), &policy, &problem, RunSeed(0), 0);
+    let (mut agent, mut noise) = (agent.unwrap(), noise());
+    let observation = normals(128);
+    let mut late = 0.0;
+    for step in 0..1500 {
+        let drawn = agent.act_in_training(&observation, &mut noise).unwrap();
+        // The value of an action a is -4 a^2.
+        let wide = drawn.action.iter().map(|&a| f64::from(a));
+        let values: Vec<f64> = wide.map(|a| -4.0 * a * a).collect();
+        let by_action: Vec<f32> = drawn.action.iter().map(|a| -8.0 * a).collect();
+        let figures = agent.improve(&drawn, &values, &by_action).unwrap();
+        late += if step >= 1300 { figures.entropy / 200.0 } else { 0.0 };
+    }
+    // One action: the target is -1. A Gaussian of this entropy has the variance exp(-3) / (2 pi) = .0079, which is the
+    // best one for a temperature of eight times as much.
+    assert!((late + 1.0).abs() < 0.1, "entropy {late}");
+    let temperature = agent.temperature().unwrap();
+    assert!((0.04..0.1).contains(&temperature), "{temperature}");
+}
