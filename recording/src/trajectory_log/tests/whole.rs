@@ -89,7 +89,7 @@ fn a_log_has_a_schema_for_every_topic_and_totals() {
 }
 
 #[test]
-fn a_log_shows_the_links_and_joints_before_a_step() {
+fn a_log_shows_the_links_as_a_tree_and_joints_before_a_step_and_their_efforts_during_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = slot_log(folder.path()).0;
     let bytes = read_bytes(&path).unwrap();
@@ -100,24 +100,35 @@ fn a_log_shows_the_links_and_joints_before_a_step() {
     let transforms = FrameTransforms::decode(first("/tf").as_ref()).unwrap().transforms;
     let joints = JointStates::decode(first("/joint_states").as_ref()).unwrap().joints;
     let mut world = sim::environments(&task(), 1).unwrap();
-    world.restore(0, &read(&path).1[0].head.environment_state).unwrap();
+    let share = &read(&path).1[0];
+    world.restore(0, &share.head.environment_state).unwrap();
     let pose = world.pose(0);
     assert_eq!((transforms.len(), joints.len()), (pose.links.len(), pose.joints.len()));
     assert!(transforms.len() >= 7 && joints.len() >= 6, "seven links, six of them with motors");
-    let close = |found: &[f64], expected: &[f32]| {
-        found.iter().zip(expected).all(|(a, b)| (a - f64::from(*b)).abs() < 1e-4)
+    let close = |found: &[f32], expected: &[f32]| {
+        found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4)
     };
     for (found, link) in transforms.iter().zip(&pose.links) {
         assert_eq!(found.child_frame_id, link.name);
         let (at, turned) = (found.translation.unwrap(), found.rotation.unwrap());
-        assert!(close(&[at.x, at.y, at.z], &link.position), "{found:?} {link:?}");
-        let quaternion = [turned.x, turned.y, turned.z, turned.w];
-        assert!(close(&quaternion, &link.quaternion), "{found:?} {link:?}");
+        let parent = pose.links.iter().find(|link| link.name == found.parent_frame_id);
+        assert_eq!(parent.is_none(), found.parent_frame_id == "world");
+        let position = [at.x, at.y, at.z].map(|part| part as f32);
+        let in_world = parent.map_or(position, |parent| parent.in_world(position));
+        assert!(close(&in_world, &link.position), "{found:?} {link:?}");
+        let turn = [turned.x, turned.y, turned.z, turned.w].map(|part| part as f32);
+        let arrow = sim::rotated(turn, [1.0, 2.0, 3.0]);
+        let arrow = parent.map_or(arrow, |parent| sim::rotated(parent.quaternion, arrow));
+        assert!(close(&arrow, &sim::rotated(link.quaternion, [1.0, 2.0, 3.0])), "{found:?}");
     }
-    for (found, joint) in joints.iter().zip(&pose.joints) {
+    let gears = [120.0, 90.0, 60.0, 120.0, 60.0, 30.0];
+    let actions = share.steps[0].agents.iter().flat_map(|agent| &agent.action);
+    let torques = gears.iter().zip(actions).map(|(gear, action)| gear * action.clamp(-1.0, 1.0));
+    for ((found, joint), torque) in joints.iter().zip(&pose.joints).zip(torques) {
         assert_eq!(found.name, joint.name);
-        let numbers = [found.position.unwrap(), found.velocity.unwrap()];
-        assert!(close(&numbers, &[joint.position, joint.velocity]), "{found:?} {joint:?}");
+        let numbers = [found.position, found.velocity, found.effort].map(|one| one.unwrap() as f32);
+        let expected = [joint.position, joint.velocity, torque];
+        assert!(close(&numbers, &expected), "{found:?} {joint:?}");
     }
 }
 
