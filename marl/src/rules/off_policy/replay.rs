@@ -217,7 +217,7 @@ impl Replay {
 
     /// The n-step target: `sum_(k < m) gamma^k r_(t+k)`, `gamma^m`, and the state after step `t + m - 1`, where `m` is
     /// `horizon.steps`, or fewer at the end of the episode or of the replay. A truncation and the newest step bootstrap
-    /// from the true final state; a termination does not bootstrap.
+    /// from the true final state; a termination does not bootstrap, and has the state before it instead.
     fn n_step_target(&self, row: u64, horizon: NStepHorizon) -> NStepTarget<'_> {
         let mut reward = 0.0;
         let mut discount = 1.0;
