@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and another setting of it.
-const CASES: [[&str; 3]; 13] = [
+const CASES: [[&str; 3]; 14] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -25,6 +25,7 @@ const CASES: [[&str; 3]; 13] = [
     ["halfcheetah-2x3", "happo-sm-encoder", "mlp"],
     ["halfcheetah-2x3", "hasac", "mlp"],
     ["ant-4x2", "hasac", "mlp"],
+    ["halfcheetah-2x3", "happo-s2mia-exact", "gru policy.noise_size=2"],
 ];
 
 /// Cases that are repeated with each SIMD width: both cores, both rules with a replay, and a recurrent critic.

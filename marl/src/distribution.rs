@@ -4,6 +4,7 @@
 pub mod categorical;
 pub mod gaussian;
 pub mod head_rows;
+mod shared_noise;
 
 pub use categorical::CategoricalRow;
 pub use gaussian::GaussianRow;

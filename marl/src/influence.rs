@@ -1,11 +1,11 @@
 //! Social influence: the equations of section 3.3 of the paper, and the posteriors that estimate it.
 //!
-//! For decentralised policies the true mutual information given `(o, h)` is 0, because agents draw their noise
-//! independently. A posterior trained by maximum likelihood on the actions taken therefore converges to the behaviour
-//! policy, and `KL[q || p]` rewards a policy for moving away from it, up to the cap. `mutual_information` on held-out
-//! environments shows how near to 0 the estimate is.
+//! For policies with independent noise the true mutual information given `(o, h)` is 0. A posterior trained by maximum
+//! likelihood on the actions taken therefore converges to the behaviour policy, and `KL[q || p]` rewards a policy for
+//! moving away from it, up to the cap. `mutual_information` on held-out environments shows how near to 0 the estimate is.
 
 pub(crate) mod count;
+pub(crate) mod exact;
 pub(crate) mod posterior;
 pub(crate) mod second_head;
 

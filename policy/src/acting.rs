@@ -16,6 +16,8 @@ use crate::config::{CoreKind, InputNorm, PolicyConfig};
 use crate::error::PolicyError;
 use crate::head::Head;
 use crate::layers::{LayerSpec, network_of};
+use crate::randomness::{Draw, RunSeed};
+use crate::shared_noise::GivenSignal;
 use crate::standardisation::Standardisation;
 
 /// One agent's policy.
@@ -27,6 +29,8 @@ pub struct ActorPolicy {
     standardisation: Option<Standardisation>,
     network: Packed,
     sigma: Vec<f32>,
+    /// Only with noise that agents share.
+    given_signal: Option<GivenSignal>,
 }
 
 /// Buffers of [`ActorPolicy::forward`]. The caller reuses them, so that a step does not allocate.
@@ -89,12 +93,20 @@ impl ActorPolicy {
                 log_std.iter().map(|&x| kernels::sigmoid(x) * spec.sigma_scale).collect()
             }
         };
+        let given_signal = match spec.head().shared_noise() {
+            None => None,
+            Some(noise) if noise.loading.is_some() => Some(GivenSignal::new(noise, &sigma, None)),
+            Some(noise) => {
+                let u = reader.matrix("head.loading", [spec.action, noise.size])?;
+                Some(GivenSignal::new(noise, &sigma, Some(&u)))
+            }
+        };
         if reader.used != arrays.len() {
             let found = arrays.len();
             let used = reader.used;
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
         }
-        Ok(Self { spec, arrays, standardisation, network, sigma })
+        Ok(Self { spec, arrays, standardisation, network, sigma, given_signal })
     }
 
     /// Sizes and action distribution.
@@ -192,9 +204,28 @@ impl ActorPolicy {
         self
     }
 
+    /// Mean norm of the loadings of an action dimension; `None` if agents share no noise.
+    #[must_use]
+    pub fn mean_loading(&self) -> Option<f64> {
+        self.given_signal.as_ref().map(GivenSignal::mean_loading)
+    }
+
+    /// Shifts one row's output `[out]` by the noise that all agents share in the step of the action's key `action`. To be
+    /// called once before [`Self::draw`] and [`Self::log_prob`]. Without shared noise nothing changes.
+    pub fn add_shared_noise(&self, seed: RunSeed, action: Draw, output: &mut [f32]) {
+        if let Some(given) = &self.given_signal {
+            given.shift(seed, action, output);
+        }
+    }
+
+    /// Standard deviations of an action given the noise that agents share, `[act]`.
+    fn deviations(&self) -> &[f32] {
+        self.given_signal.as_ref().map_or(&self.sigma, |given| &given.deviations)
+    }
+
     /// Draws an action `[act]` from one row's output `[out]`.
     pub fn draw(&self, output: &[f32], rng: &mut impl RngCore, action: &mut [f32]) {
-        self.head().draw(output, &self.sigma, rng, action);
+        self.head().draw(output, self.deviations(), rng, action);
     }
 
     /// The mode of the distribution, which evaluation uses: the mean `[act]`, or the likeliest choice.
@@ -206,7 +237,7 @@ impl ActorPolicy {
     /// been validated.
     #[must_use]
     pub fn log_prob(&self, output: &[f32], action: &[f32]) -> f32 {
-        self.head().log_prob(output, &self.sigma, action)
+        self.head().log_prob(output, self.deviations(), action)
     }
 
     /// Computes outputs `[rows, out]` for observations `[rows, obs]` as the environment returns them, and

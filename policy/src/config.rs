@@ -4,7 +4,9 @@ use std::ops::Bound;
 
 use serde::{Deserialize, Serialize};
 
+use crate::head::Head;
 use crate::setting::{SettingError, between, within};
+use crate::shared_noise::{LARGEST_LOADING, MAX_HOLD, MAX_SIGNAL, SharedNoise};
 
 /// Kind of actor network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,6 +26,16 @@ pub enum InputNorm {
     None,
     /// A LayerNorm, as in HARL. It removes the mean and the scale of each row.
     LayerNorm,
+}
+
+/// Exploration noise of several agents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Noise {
+    /// Every agent draws its own noise.
+    Independent,
+    /// A part of the noise is a signal that all agents share.
+    Shared,
 }
 
 /// Sigma of an untrained policy, in units of half an action's range: `sigmoid(1) / 2`, as in HARL.
@@ -53,6 +65,14 @@ pub struct PolicyConfig {
     pub sigma_floor: f32,
     /// Gain of the orthogonal initialisation of the action head.
     pub head_gain: f32,
+    /// Noise of the agents' actions; absent: independent.
+    pub noise: Option<Noise>,
+    /// Shared noise: numbers of the signal; absent: 1.
+    pub noise_size: Option<usize>,
+    /// Shared noise: steps for which the signal stays the same; absent: 1.
+    pub noise_hold: Option<u32>,
+    /// Shared noise: correlation of each action's noise with the signal, at most 0.95; absent or 0: learnt.
+    pub noise_loading: Option<f32>,
 }
 
 impl PolicyConfig {
@@ -77,7 +97,25 @@ impl PolicyConfig {
         let range = format!("above 0 and below the initial sigma of {INITIAL_SIGMA}");
         within("policy.sigma_floor", self.sigma_floor, f32::MIN_POSITIVE..initial, &range)?;
         let gains = f32::MIN_POSITIVE..=10.0;
-        within("policy.head_gain", self.head_gain, gains, "above 0, at most 10")
+        within("policy.head_gain", self.head_gain, gains, "above 0, at most 10")?;
+        let noise = self.shared_noise();
+        between("policy.noise_size", noise.size, 1, MAX_SIGNAL)?;
+        between("policy.noise_hold", noise.hold, 1, MAX_HOLD)?;
+        between("policy.noise_loading", noise.loading.unwrap_or_default(), 0.0, LARGEST_LOADING)
+    }
+
+    fn shared_noise(&self) -> SharedNoise {
+        let (size, hold) = (self.noise_size.unwrap_or(1), self.noise_hold.unwrap_or(1));
+        SharedNoise { size, hold, loading: self.noise_loading.filter(|loading| *loading != 0.0) }
+    }
+
+    /// The distribution of a policy: `head`, with the configured noise if it is a Gaussian.
+    #[must_use]
+    pub fn with_noise(&self, head: Head) -> Head {
+        match (self.noise, head) {
+            (Some(Noise::Shared), Head::Gaussian) => Head::SharedGaussian(self.shared_noise()),
+            _ => head,
+        }
     }
 
     /// Initial value of the parameter `log_std`, where `sigma = sigmoid(log_std) * sigma_scale`.
@@ -112,6 +150,9 @@ mod tests {
             ("policy.hidden", PolicyConfig { hidden: 0, ..valid() }),
             ("policy.layers", PolicyConfig { layers: 17, ..valid() }),
             ("policy.sigma_scale", PolicyConfig { sigma_scale: f32::NAN, ..valid() }),
+            ("policy.noise_size", PolicyConfig { noise_size: Some(0), ..valid() }),
+            ("policy.noise_hold", PolicyConfig { noise_hold: Some(0), ..valid() }),
+            ("policy.noise_loading", PolicyConfig { noise_loading: Some(0.96), ..valid() }),
         ] {
             assert_eq!(changed.validate().expect_err("refused").key, key);
         }

@@ -12,6 +12,8 @@ pub struct Gaussian {
     pub mean: Tensor,
     /// Standard deviations, the same in every row, `[A]`.
     pub sigma: Tensor,
+    /// Loadings of the noise that all agents share, `[A, K]`; `None` if the noise is independent.
+    pub loading: Option<Tensor>,
 }
 
 /// `sum_d -1/2 ((a_d - mu_d) / sigma_d)^2 - log sigma_d - 1/2 log 2 pi`, nats. All slices are `[A]`.

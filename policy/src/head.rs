@@ -7,6 +7,7 @@ use crate::categorical::{self, Categorical};
 use crate::error::PolicyError;
 use crate::gaussian::{self, Gaussian};
 use crate::randomness::{standard_normal, uniform};
+use crate::shared_noise::SharedNoise;
 use crate::tanh_gaussian;
 
 /// Action distribution, given the network's output; part of a snapshot.
@@ -15,6 +16,8 @@ use crate::tanh_gaussian;
 pub enum Head {
     /// A Gaussian with the network's output as mean and learnt standard deviations; never clamped.
     Gaussian,
+    /// As [`Head::Gaussian`], with a part of the noise shared by all agents.
+    SharedGaussian(SharedNoise),
     /// One value, the index of a choice.
     Categorical {
         /// `K`, number of choices.
@@ -54,7 +57,10 @@ impl Head {
     #[must_use]
     pub(crate) fn scale(self) -> Option<(f32, f32)> {
         match self {
-            Self::Gaussian | Self::Categorical { .. } | Self::TanhGaussian { .. } => None,
+            Self::Gaussian
+            | Self::SharedGaussian(_)
+            | Self::Categorical { .. }
+            | Self::TanhGaussian { .. } => None,
             Self::Deterministic { low, high, .. } | Self::Uniform { low, high } => {
                 Some((0.5 * (high - low), 0.5 * (high + low)))
             }
@@ -65,9 +71,21 @@ impl Head {
     #[must_use]
     pub(crate) fn fixed_sigma(self) -> Option<f32> {
         match self {
-            Self::Gaussian | Self::Categorical { .. } | Self::TanhGaussian { .. } => None,
+            Self::Gaussian
+            | Self::SharedGaussian(_)
+            | Self::Categorical { .. }
+            | Self::TanhGaussian { .. } => None,
             Self::Deterministic { noise_sigma, .. } => Some(noise_sigma),
             Self::Uniform { low, high } => Some((high - low) / 12.0_f32.sqrt()),
+        }
+    }
+
+    /// How agents share a part of their noise; `None` if it is independent.
+    #[must_use]
+    pub fn shared_noise(self) -> Option<SharedNoise> {
+        match self {
+            Self::SharedGaussian(noise) => Some(noise),
+            _ => None,
         }
     }
 
@@ -86,6 +104,7 @@ impl Head {
         let range = |low: f32, high: f32| low < high && low.is_finite() && high.is_finite();
         let holds = match self {
             Self::Gaussian => true,
+            Self::SharedGaussian(noise) => noise.is_valid(),
             Self::Categorical { choices } => action == 1 && choices > 0,
             Self::Deterministic { noise_sigma, low, high } => {
                 range(low, high) && noise_sigma > 0.0 && noise_sigma.is_finite()
@@ -123,7 +142,7 @@ impl Head {
             Self::Uniform { low, high } => {
                 pairs.for_each(|(action, _)| *action = low + (high - low) * uniform(rng));
             }
-            Self::Gaussian => {
+            Self::Gaussian | Self::SharedGaussian(_) => {
                 pairs.for_each(|(action, (mean, sigma))| {
                     *action = mean + sigma * standard_normal(rng)
                 });
@@ -146,7 +165,7 @@ impl Head {
     /// Log-density or log-probability, in nats, of an action `[act]`. The index of a choice must have been validated.
     pub(crate) fn log_prob(self, output: &[f32], sigma: &[f32], action: &[f32]) -> f32 {
         match self {
-            Self::Gaussian | Self::Deterministic { .. } => {
+            Self::Gaussian | Self::SharedGaussian(_) | Self::Deterministic { .. } => {
                 gaussian::log_prob(output, sigma, action)
             }
             Self::Categorical { .. } => categorical::log_prob(output, action[0] as usize),
@@ -229,6 +248,9 @@ mod tests {
             Head::Uniform { low: f32::NAN, high: 1.0 },
             Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
             Head::Categorical { choices: 0 },
+            Head::SharedGaussian(SharedNoise { size: 0, hold: 1, loading: None }),
+            Head::SharedGaussian(SharedNoise { size: 1, hold: 0, loading: None }),
+            Head::SharedGaussian(SharedNoise { size: 1, hold: 1, loading: Some(1.0) }),
         ] {
             assert!(head.check(1).is_err(), "{head:?}");
         }

@@ -38,6 +38,8 @@ pub struct ActorNetwork {
     layers: LayerStack,
     /// Only if sigma is learnt.
     log_std: Option<Var>,
+    /// The parameters `u` of loadings, `[act, K]`; only if loadings are learnt.
+    loading: Option<Var>,
 }
 
 impl ActorNetwork {
@@ -57,7 +59,7 @@ impl ActorNetwork {
         let declared = spec.layer_specs(f64::from(config.head_gain));
         let layers = LayerStack::declare(&mut parameters, &declared, rng)?;
         let log_std = match head {
-            Head::Gaussian => {
+            Head::Gaussian | Head::SharedGaussian(_) => {
                 let start = Tensor::full(config.initial_log_std(), action, &Device::Cpu)?;
                 Some(parameters.add("head.log_std", start)?)
             }
@@ -67,8 +69,13 @@ impl ActorNetwork {
                 return Err(PolicyError::Snapshot(detail));
             }
         };
+        let learnt = head.shared_noise().filter(|noise| noise.loading.is_none());
+        let loading = match learnt {
+            Some(noise) => Some(parameters.add("head.loading", noise.initial(action)?)?),
+            None => None,
+        };
         let sigma_floor = f64::from(config.sigma_floor);
-        Ok(Self { spec, sigma_floor, parameters, layers, log_std })
+        Ok(Self { spec, sigma_floor, parameters, layers, log_std, loading })
     }
 
     /// All parameters, named as in PyTorch.
@@ -146,7 +153,7 @@ impl ActorNetwork {
     }
 
     /// From the layers' output `[R, out]`: logits; or the mean, with `sigma = sigmoid(log_std) * sigma_scale` if it
-    /// is learnt, otherwise the fixed sigma of the head.
+    /// is learnt, otherwise the fixed sigma of the head, and the loadings of shared noise.
     fn head(&self, output: Tensor) -> Result<Distribution, PolicyError> {
         let head = self.spec.head();
         let output = match head.scale() {
@@ -163,7 +170,9 @@ impl ActorNetwork {
                 return Ok(Distribution::Categorical(Categorical { logits: output }));
             }
         };
-        Ok(Distribution::Gaussian(Gaussian { mean: output, sigma }))
+        let u = self.loading.as_ref().map(Var::as_tensor);
+        let loading = head.shared_noise().map(|noise| noise.loadings(u, self.spec.action()));
+        Ok(Distribution::Gaussian(Gaussian { mean: output, sigma, loading: loading.transpose()? }))
     }
 
     /// Projects the parameters to sigma at or above its floor. Call after every optimiser step. A hard floor inside the

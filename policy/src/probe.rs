@@ -71,5 +71,9 @@ pub fn config(core: CoreKind) -> PolicyConfig {
         sigma_scale: 0.5,
         sigma_floor: 0.05,
         head_gain: 1.0,
+        noise: None,
+        noise_size: None,
+        noise_hold: None,
+        noise_loading: None,
     }
 }

@@ -48,6 +48,10 @@ pub enum Purpose {
     Bootstrap = 30,
     /// Noise of the actions that an off-policy update draws.
     UpdateAction = 31,
+    /// The part of the noise of training actions that all agents share.
+    Signal = 40,
+    /// The part of the noise of served actions that all agents share.
+    ServedSignal = 41,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.

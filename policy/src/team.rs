@@ -65,13 +65,14 @@ impl Team {
         policy.forward(rows, observations, hidden, &mut self.output, &mut self.scratch);
         let mut actions = vec![0.0; rows * size];
         for (environment, step) in steps.iter_mut().enumerate() {
-            let output = &self.output[environment * outputs..][..outputs];
+            let output = &mut self.output[environment * outputs..][..outputs];
             let action = &mut actions[environment * size..][..size];
             match self.seed {
                 None => policy.mode(output, action),
                 Some(seed) => {
                     let place = (self.episodes[environment], environment as u32);
                     let key = Draw::of_served_action(place, *step, agent as u32);
+                    policy.add_shared_noise(seed, key, output);
                     policy.draw(output, &mut generator(seed, key), action);
                 }
             }

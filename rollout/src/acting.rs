@@ -78,14 +78,16 @@ impl Agents {
     /// key. `indices` are the global indices of the environments, in the order of the rows.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], context: DrawContext) {
         for (agent, policy) in policy.agents.iter().enumerate() {
-            let output = &self.output[agent];
+            let output = &mut self.output[agent];
             let action = &mut self.action[agent];
             for (place, &environment) in indices.iter().enumerate() {
                 let key =
                     Draw::of_action(context.iteration, environment, context.step, agent as u32);
                 let mut rng = generator(context.seed, key);
-                let output = &output[row(output.len(), place, self.environments)];
+                let own = row(output.len(), place, self.environments);
+                let output = &mut output[own];
                 let of_row = row(action.len(), place, self.environments);
+                policy.add_shared_noise(context.seed, key, output);
                 policy.draw(output, &mut rng, &mut action[of_row.clone()]);
                 self.log_prob[agent][place] = policy.log_prob(output, &action[of_row]);
             }
@@ -98,8 +100,9 @@ impl Agents {
         let ActionChoice::Sampled { seed } = choice else { return self.select_modes(policy) };
         for (agent, policy) in policy.agents.iter().enumerate() {
             let key = Draw::of_served_action((0, 0), step, agent as u32);
-            let mut rng = generator(RunSeed(seed), key);
-            policy.draw(&self.output[agent], &mut rng, &mut self.action[agent]);
+            let output = &mut self.output[agent];
+            policy.add_shared_noise(RunSeed(seed), key, output);
+            policy.draw(output, &mut generator(RunSeed(seed), key), &mut self.action[agent]);
         }
     }
 

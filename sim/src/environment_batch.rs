@@ -6,6 +6,7 @@ use crate::config::TaskConfig;
 use crate::environments::RobotEnvironments;
 use crate::error::{ActionError, SimError};
 use crate::game::cue::Cue;
+use crate::game::jump::Jump;
 use crate::game::signal::Signal;
 use crate::game::{Game, GameEnvironments};
 use crate::robot::Robot;
@@ -23,6 +24,7 @@ pub fn environments(
 ) -> Result<Box<dyn EnvironmentBatch>, SimError> {
     Ok(match config.task.as_str() {
         Cue::NAME => Box::new(GameEnvironments::<Cue>::new(config, count)?),
+        Jump::NAME => Box::new(GameEnvironments::<Jump>::new(config, count)?),
         Signal::NAME => Box::new(GameEnvironments::<Signal>::new(config, count)?),
         _ => Box::new(RobotEnvironments::new(config, count)?),
     })

@@ -10,6 +10,7 @@ use crate::error::SimError;
 use crate::state::{STATE_VERSION, State, StateBounds};
 
 pub(crate) mod cue;
+pub(crate) mod jump;
 pub(crate) mod signal;
 
 /// Steps of an episode of every game.
@@ -17,7 +18,7 @@ const EPISODE_STEPS: u32 = 50;
 /// Duration of a step in recordings; games have no time.
 const STEP_SECS: f64 = 0.1;
 
-/// A game with two agents, each of whose actions is one number. The value is its state before step `step`.
+/// A game whose agents' actions are one number each. The value is its state before step `step`.
 pub(crate) trait Game: Clone + Send {
     /// Name of the task.
     const NAME: &'static str;
@@ -25,6 +26,8 @@ pub(crate) trait Game: Clone + Send {
     const STATE_KIND: &'static str;
     /// Whether all its numbers are whole.
     const IS_WHOLE: bool;
+    /// Number of agents.
+    const AGENTS: usize;
     /// The action of every agent.
     const ACTION: ActionSpec;
 
@@ -60,10 +63,7 @@ pub(crate) trait Game: Clone + Send {
 }
 
 /// Names of the games.
-pub(crate) const NAMES: [&str; 2] = [cue::Cue::NAME, signal::Signal::NAME];
-
-/// Agents of every game.
-const AGENTS: usize = 2;
+pub(crate) const NAMES: [&str; 3] = [cue::Cue::NAME, signal::Signal::NAME, jump::Jump::NAME];
 
 /// The games of a slot.
 pub(crate) struct GameEnvironments<G> {
@@ -147,7 +147,7 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
     fn step(&mut self, actions: &[f32], outcome: &mut [Outcome]) -> Result<(), SimError> {
         assert_eq!(outcome.len(), self.count(), "outcome [E]");
         check_actions(&self.description, self.count(), actions)?;
-        let rows = self.episodes.iter_mut().zip(actions.chunks_exact(AGENTS));
+        let rows = self.episodes.iter_mut().zip(actions.chunks_exact(G::AGENTS));
         for ((episode, actions), outcome) in rows.zip(outcome) {
             let position = &mut episode.position;
             let reward = episode.game.step(position.step, actions);
@@ -204,7 +204,7 @@ fn describe<G: Game>(bounds: &StateBounds) -> EnvironmentSpec {
     };
     EnvironmentSpec {
         task: G::NAME.to_owned(),
-        agents: (0..AGENTS).map(agent).collect(),
+        agents: (0..G::AGENTS).map(agent).collect(),
         dt_secs: STEP_SECS,
         episode_steps: EPISODE_STEPS,
         state_kind: bounds.kind.clone(),

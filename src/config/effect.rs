@@ -5,7 +5,7 @@ use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
 use super::conditions::{
-    Condition, HASAC, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SURPRISE,
+    Condition, HASAC, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SHARED_NOISE, SURPRISE,
 };
 use super::keys;
 use super::resolved::{ConfigError, Resolved};
@@ -17,6 +17,8 @@ const MLP: Condition = Is("policy.core", &["mlp"]);
 const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
 /// Rules whose networks have layer norms, and that clip gradients.
 const LAYER_NORMS: Condition = Is("update.rule", &["happo", "mappo", "maddpg"]);
+/// The estimators with a posterior, whose term is a divergence.
+const ESTIMATED: Condition = Is("influence.estimator", &["variational_kl", "count"]);
 const MLE: Condition = Is("influence.q_training", &["mle"]);
 
 /// Every setting that can be without an effect, and the conditions that must all hold for one.
@@ -43,6 +45,8 @@ const TABLE: &[(&[&str], &[Condition])] = &[
         &[LAYER_NORMS],
     ),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
+    (&["policy.noise"], &[ON_POLICY, Environment(Several), Environment(Continuous)]),
+    (&["policy.noise_loading", "policy.noise_size", "policy.noise_hold"], &[SHARED_NOISE]),
     (&["update.parameters"], &[Environment(Several)]),
     (
         &[
@@ -64,9 +68,10 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["surprise.density"], &[SURPRISE]),
     (&["influence.lambda"], &[Environment(Several)]),
     (
-        &["influence.estimator", "influence.q_training", "influence.lag", "influence.kappa"],
-        &[INFLUENCE, Environment(Several)],
+        &["influence.q_training", "influence.lag", "influence.kappa"],
+        &[INFLUENCE, ESTIMATED, Environment(Several)],
     ),
+    (&["influence.estimator"], &[INFLUENCE, Environment(Several)]),
     (&["influence.encoder", "influence.hidden"], &[INFLUENCE, LEARNT, Environment(Several)]),
     (
         &["influence.posterior_sigma_floor"],
@@ -164,7 +169,7 @@ mod tests {
     use proto::EnvironmentSpec;
 
     use super::*;
-    use crate::config::{Request, presets};
+    use crate::config::{Request, layers, presets};
 
     /// Settings that have an effect in every run. Where a run allows only one value, giving that value is right, not without
     /// effect.
@@ -194,6 +199,8 @@ mod tests {
         "observation.norm",
         "policy.backpropagation_steps",
         "policy.core",
+        "policy.start",
+        "policy.start_sha256",
         "preset",
         "run.actors",
         "run.dir",
@@ -224,9 +231,12 @@ mod tests {
         ("policy.layers=3", &["policy.core=mlp"], &[]),
         ("policy.sigma_floor=0.1", &[], &["task=cue-2x1"]),
         ("policy.head_gain=0.1", &["algorithm=maddpg"], &["algorithm=hasac"]),
+        ("policy.noise=independent", &[], &["algorithm=maddpg"]),
+        ("policy.noise_hold=5", &["policy.noise=shared"], &[]),
         ("update.clip=0.2", &[], &["algorithm=maddpg"]),
         ("surprise.density=vae", &[], &["algorithm=happo"]),
-        ("influence.lag=1", &[], &["algorithm=happo-sm"]),
+        ("influence.estimator=variational_kl", &[], &["algorithm=happo-sm"]),
+        ("influence.lag=1", &[], &["algorithm=happo-s2mia-exact"]),
         ("influence.encoder=32", &[], &["task=cue-2x1", "influence.estimator=count"]),
         ("influence.posterior_sigma_floor=0.1", &[], &["task=cue-2x1"]),
         ("influence.holdout_every=4", &[], &["influence.q_training=shared"]),
@@ -245,9 +255,7 @@ mod tests {
         let listed: Vec<&str> = ALWAYS.iter().copied().chain(conditional).collect();
         let distinct: BTreeSet<&str> = listed.iter().copied().collect();
         assert_eq!(distinct.len(), listed.len(), "a setting is listed twice");
-        // The settings of this algorithm have every section.
-        let defaults = RunConfig::with(&["algorithm=hasac"]).unwrap().resolved;
-        let known: BTreeSet<&str> = defaults.entries.keys().map(String::as_str).collect();
+        let known: BTreeSet<&str> = layers::names().collect();
         assert_eq!(distinct, known);
     }
 

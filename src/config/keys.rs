@@ -22,9 +22,6 @@ pub(crate) const START: &str = "policy.start";
 /// Key of the SHA-256 of these policies, which the program fills in.
 pub(crate) const START_SHA256: &str = "policy.start_sha256";
 
-/// Keys that configurations have only if they are given, besides the weights of reward terms. Their values are texts.
-pub(super) const OPTIONAL: [&str; 2] = [START, START_SHA256];
-
 /// Keys and sections that affect where and when a run computes, never its result.
 const OPERATIONAL: &[&str] = &[
     "run.actors",

@@ -39,27 +39,35 @@ type Values = BTreeMap<String, Value>;
 static A_WEIGHT: Value = Value::Float(0.0);
 
 /// Every key of `configs/base.toml` with its default.
-static DEFAULTS: LazyLock<Values> = LazyLock::new(|| written_in(presets::BASE));
+static DEFAULTS: LazyLock<Values> = LazyLock::new(|| written_in(presets::BASE.text));
 
-/// Every key with its default. The section of one algorithm is in that algorithm's file alone, and so only in the
-/// settings of its runs; keys without a default are empty texts here.
+/// The keys that a run has only if they are given, with what a run without them does.
+static OPTIONAL: LazyLock<Values> = LazyLock::new(|| written_in(&presets::optional()));
+
+/// Every key with its default, but the weights of reward terms. The section of one algorithm is in that algorithm's file
+/// alone, and so only in the settings of its runs.
 static KNOWN: LazyLock<Values> = LazyLock::new(|| {
-    let optional = keys::OPTIONAL.map(|key| (key.to_owned(), Value::String(String::new())));
     let own = presets::ALGORITHMS.iter().copied().flat_map(own_section);
-    own.chain(DEFAULTS.clone()).chain(optional).collect()
+    own.chain(DEFAULTS.clone()).chain(OPTIONAL.clone()).collect()
 });
 
-/// The values of an algorithm's file whose keys `configs/base.toml` lacks.
+/// The names in [`KNOWN`].
+pub(super) fn names() -> impl Iterator<Item = &'static str> {
+    KNOWN.keys().map(String::as_str)
+}
+
+/// The values of an algorithm's file whose keys `configs/base.toml` lacks, also in its comments.
 fn own_section(algorithm: Preset) -> Values {
-    let mut values = written_in(algorithm);
-    values.retain(|key, _| !DEFAULTS.contains_key(key));
+    let mut values = written_in(algorithm.text);
+    values.retain(|key, _| !DEFAULTS.contains_key(key) && !OPTIONAL.contains_key(key));
     values
 }
 
-/// The values in a file of the program.
-fn written_in(preset: Preset) -> Values {
-    let table: Table = preset.text.parse().expect("tests read every file of the program");
-    leaves(&table).into_iter().map(|(key, value)| (key, value.clone())).collect()
+/// The values in a text of the program.
+fn written_in(text: &str) -> Values {
+    let table: Table = text.parse().expect("tests read every file of the program");
+    let values = leaves(&table).into_iter().filter(|(_, value)| !value.is_table());
+    values.map(|(key, value)| (key, value.clone())).collect()
 }
 
 /// Values of one place.
@@ -175,7 +183,7 @@ fn asked_layers(request: &Request) -> Result<Vec<SettingsLayer>, ConfigError> {
 
 /// The settings whose keys equal `word` apart from separators, with or without their section.
 pub(crate) fn spelled(word: &str) -> Vec<&'static str> {
-    keys::spelled(word, KNOWN.keys().map(String::as_str))
+    keys::spelled(word, names())
 }
 
 /// Refuses a variable that spells a setting without being one, which would change nothing unnoticed.

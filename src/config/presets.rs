@@ -31,7 +31,7 @@ pub(crate) const BASE: Preset = Preset {
 /// Settings per task.
 pub(crate) const TASKS: &[Preset] = presets!(
     "tasks":
-    "cue-2x1", "signal-2x1",
+    "cue-2x1", "signal-2x1", "jump-4x1",
     "halfcheetah-2x3", "halfcheetah-3x2", "halfcheetah-6x1",
     "walker2d-2x3", "walker2d-3x2", "walker2d-6x1",
     "ant-2x4", "ant-2x4d", "ant-4x2", "ant-8x1",
@@ -48,6 +48,8 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "happo-sm-encoder",
     "happo-smh",
     "happo-mi",
+    "happo-s2mia-exact",
+    "happo-shared",
     "happo-0",
     "happo",
     "mappo",
@@ -61,6 +63,18 @@ pub(crate) const PRESETS: &[Preset] = presets!("presets": "tuned", "harl", "pape
 /// The file with that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
+}
+
+/// The settings that a run has only if they are given, as TOML: in `configs/base.toml` their lines are comments.
+pub(crate) fn optional() -> String {
+    let is_name =
+        |word: &str| word.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+    let is_setting = |line: &&str| line.split_once(" = ").is_some_and(|(name, _)| is_name(name));
+    let lines = BASE.text.lines().filter_map(|line| match line.strip_prefix("# ") {
+        Some(line) => Some(line).filter(is_setting),
+        None => Some(line).filter(|line| line.starts_with('[')),
+    });
+    lines.collect::<Vec<_>>().join("\n")
 }
 
 /// The path of the file with the default of a setting, and the description there, which is empty if the name says it all:
@@ -119,6 +133,7 @@ mod tests {
         for (key, file, starts) in [
             ("surprise.alpha", base, "weight of log p_theta(o)"),
             ("policy.layers", base, "mlp: "),
+            ("policy.noise_hold", base, "shared: "),
             ("policy.start", base, "trained policies"),
             ("run.iterations", base, "number of iterations, which overrides env_steps"),
             ("hasac.batch", hasac, "transitions per update"),

@@ -7,7 +7,9 @@ use marl::config::{QTraining, Sharing};
 use policy::setting::{SettingError, multiple, within};
 use proto::EnvironmentSpec;
 
-use super::conditions::{Condition, HASAC, INFLUENCE, MADDPG, OFF_POLICY, Property, RunContext};
+use super::conditions::{
+    Condition, HASAC, INFLUENCE, MADDPG, OFF_POLICY, Property, RunContext, SHARED_NOISE,
+};
 use super::keys::START;
 use super::message_steps::{MESSAGE, SLOT, WINDOW};
 use super::resolved::ConfigError;
@@ -93,6 +95,27 @@ const TABLE: &[Rule] = &[
         Is("influence.q_training", &["shared"]),
         &[INFLUENCE, Environment(Discrete)],
         "mle for a task with discrete actions",
+    ),
+    rule(
+        SHARED_NOISE,
+        &[OFF_POLICY],
+        "independent with a replay: the signals of its steps are not stored",
+    ),
+    rule(
+        SHARED_NOISE,
+        &[Environment(Discrete)],
+        "independent for a task with discrete actions: only a Gaussian's noise can be shared",
+    ),
+    rule(
+        Is("influence.estimator", &["exact"]),
+        &[Not("policy.noise", "shared")],
+        "variational_kl or count without policy.noise = shared: with independent noise the information between actions \
+         is 0",
+    ),
+    rule(
+        INFLUENCE,
+        &[Is("influence.estimator", &["exact"]), Above0("policy.noise_loading")],
+        "0 with influence.estimator = exact and a constant policy.noise_loading: the information is constant",
     ),
     rule(
         Not("log.episodes", "none"),
@@ -207,6 +230,13 @@ mod tests {
             "influence.q_training = shared",
         ),
         (&["cue-2x1", "influence.q_training=shared"], "influence.q_training = shared"),
+        (&["algorithm=maddpg", "policy.noise=shared"], "policy.noise = shared"),
+        (&["cue-2x1", "policy.noise=shared"], "policy.noise = shared"),
+        (&["influence.estimator=exact"], "influence.estimator = exact"),
+        (
+            &["policy.noise=shared", "influence.estimator=exact", "policy.noise_loading=0.5"],
+            "influence.lambda = 0.01",
+        ),
         (&["environment_service.url=http://localhost:7", "log.episodes=all"], "log.episodes = all"),
     ];
 

@@ -74,7 +74,7 @@ fn about_agent(
     let spec = world.map(|world| &world.description().agents[index]);
     let names = spec.map(|spec| spec.observation.iter().map(|feature| &feature.name));
     let (distribution, choices) = match policy.head() {
-        Head::Gaussian => ("gaussian", None),
+        Head::Gaussian | Head::SharedGaussian(_) => ("gaussian", None),
         Head::Categorical { choices } => ("categorical", Some(choices)),
         Head::Deterministic { .. } => ("clamped_gaussian", None),
         Head::Uniform { .. } => ("uniform", None),

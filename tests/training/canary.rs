@@ -2,12 +2,12 @@
 
 use learner::lease::canary::{self, Extent};
 use learner::lease::exchange::{Caller, Exchange};
-use learner::lease::slots::ConnectionId;
-use policy::CoreKind;
+use learner::lease::slots::{ConnectionId, Trust};
+use policy::{CoreKind, Noise};
 use proto::{PushHeader, Reason, Refusal, RolloutOrigin, TrajectoryChunk};
 
 use crate::actor::push;
-use crate::one_slot::{exchange, lease, origin, rolled_out};
+use crate::one_slot::{exchange, lease, origin, rolled_out, rolled_out_with};
 
 #[test]
 fn a_chunk_of_another_slot_iteration_or_environment_is_refused() {
@@ -17,15 +17,19 @@ fn a_chunk_of_another_slot_iteration_or_environment_is_refused() {
         RolloutOrigin { iteration: 1, ..origin() },
         RolloutOrigin { environments: vec![0, 3], ..origin() },
     ];
-    for other in others {
+    for other in &others {
         let refusal =
-            canary::check(&policy, &run, &chunks[0], Some(&other), Extent::Chunk).unwrap_err();
+            canary::check(&policy, &run, &chunks[0], (other, Trust::Exact), Extent::Chunk)
+                .unwrap_err();
         assert_eq!(
             (refusal.reason, refusal.field.as_str()),
             (Reason::CanaryMismatch, "chunk.agents[0].action")
         );
     }
-    assert_eq!(canary::check(&policy, &run, &chunks[0], None, Extent::Chunk), Ok(()));
+    assert_eq!(
+        canary::check(&policy, &run, &chunks[0], (&others[0], Trust::Foreign), Extent::Chunk),
+        Ok(())
+    );
 }
 
 #[test]
@@ -34,9 +38,30 @@ fn chunks_of_the_named_policy_are_accepted_with_and_without_recurrence() {
         let (run, policy, chunks) = rolled_out(core);
         assert!(chunks.iter().any(|chunk| chunk.truncated.contains(&true)));
         for chunk in &chunks {
-            assert_eq!(canary::check(&policy, &run, chunk, Some(&origin()), Extent::Chunk), Ok(()));
+            assert_eq!(
+                canary::check(&policy, &run, chunk, (&origin(), Trust::Exact), Extent::Chunk),
+                Ok(())
+            );
         }
     }
+}
+
+#[test]
+fn chunks_of_agents_that_share_noise_are_checked_with_the_signals_of_their_slot() {
+    let (run, policy, chunks) = rolled_out_with(|policy| {
+        (policy.noise, policy.noise_loading) = (Some(Noise::Shared), Some(0.9));
+        policy.noise_hold = Some(3);
+    });
+    let check = |chunk, origin: &RolloutOrigin, trust| {
+        canary::check(&policy, &run, chunk, (origin, trust), Extent::Chunk)
+    };
+    for chunk in &chunks {
+        assert_eq!(check(chunk, &origin(), Trust::Exact), Ok(()));
+        assert_eq!(check(chunk, &origin(), Trust::Foreign), Ok(()));
+    }
+    let other = RolloutOrigin { iteration: 1, ..origin() };
+    let refusal = check(&chunks[0], &other, Trust::Foreign).unwrap_err();
+    assert_eq!(refusal.field, "chunk.agents[0].log_prob");
 }
 
 #[test]
@@ -63,7 +88,8 @@ fn a_changed_number_is_refused_with_its_agent_step_and_environment() {
         let mut chunk = chunks.last().unwrap().clone();
         change(&mut chunk);
         let refusal =
-            canary::check(&policy, &run, &chunk, Some(&origin()), Extent::Chunk).unwrap_err();
+            canary::check(&policy, &run, &chunk, (&origin(), Trust::Exact), Extent::Chunk)
+                .unwrap_err();
         assert_eq!(
             (refusal.reason, refusal.field),
             (Reason::CanaryMismatch, format!("chunk.{field}"))
@@ -77,7 +103,7 @@ fn outside_the_sample_only_the_first_step_of_a_chunk_is_checked() {
     for core in [CoreKind::Gru, CoreKind::Mlp] {
         let (run, policy, mut chunks) = rolled_out(core);
         let check = |chunk: &TrajectoryChunk| {
-            canary::check(&policy, &run, chunk, Some(&origin()), Extent::FirstStep)
+            canary::check(&policy, &run, chunk, (&origin(), Trust::Exact), Extent::FirstStep)
         };
         let chunk = chunks.last_mut().unwrap();
         chunk.agents[0].log_prob[2] += 1.0;

@@ -27,6 +27,8 @@ use learner::store::run_folder::RunFolderError;
 use learner::train::prepare::prepare;
 use learner::train::trainer::Outside;
 use marl::LearningRateDecay;
+use marl::config::Estimator;
+use policy::Noise;
 use serde_json::Value;
 
 use actor::ActorThreads;
@@ -145,6 +147,30 @@ fn a_resumed_run_equals_an_undisturbed_one_whatever_interrupted_it() {
     }
     let steady = tempfile::tempdir().unwrap();
     assert_ne!(train(launch_in(steady.path(), 5), 2).weights_sha256, undisturbed.weights_sha256);
+}
+
+/// Agents that share noise, with exact influence.
+fn sharing_noise(folder: &Path) -> Launch {
+    let mut launch = launch_in(folder, 4);
+    (launch.policy.noise, launch.policy.noise_hold) = (Some(Noise::Shared), Some(3));
+    launch.training.influence.estimator = Estimator::Exact;
+    launch
+}
+
+#[test]
+fn agents_that_share_noise_learn_the_same_with_one_and_three_actors_and_after_a_resume() {
+    let whole = tempfile::tempdir().unwrap();
+    let undisturbed = train(sharing_noise(whole.path()), 1);
+    let folder = tempfile::tempdir().unwrap();
+    let second = |event: &Event| matches!(event, Event::Iteration(report) if report.iteration == 2);
+    assert!(train_until(sharing_noise(folder.path()), 3, second).unwrap().stopped_early);
+    let ended = train(resumed(sharing_noise(folder.path())), 3);
+    assert_eq!(ended.state_sha256, undisturbed.state_sha256);
+    assert_eq!(reproducible(folder.path()), reproducible(whole.path()));
+    let metrics = lines(whole.path(), "metrics.jsonl");
+    let first = metrics.iter().find(|line| line["kind"] == "iteration").unwrap();
+    assert!(first["agent0/mi_estimate"].as_f64() > Some(0.0), "{first}");
+    assert!(first["agent1/noise_loading"].as_f64() > Some(0.0), "{first}");
 }
 
 #[test]

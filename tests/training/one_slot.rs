@@ -8,7 +8,7 @@ use learner::lease::exchange::Exchange;
 use learner::lease::slots::ConnectionId;
 use learner::train::assemble::problem;
 use learner::train::prepare::prepare;
-use policy::{CoreKind, PolicySnapshot};
+use policy::{CoreKind, PolicyConfig, PolicySnapshot};
 use proto::{
     EnvironmentStart, Lease, LeaseAnswer, PolicyVersion, RolloutOrigin, RolloutWork,
     RunDescription, Start, TrajectoryChunk,
@@ -20,9 +20,16 @@ use crate::settings::launch_in;
 
 /// Rolls out a slot in which the first environment's episode ends with step 2, in the middle of a block of two steps.
 pub(crate) fn rolled_out(core: CoreKind) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
+    rolled_out_with(|policy| policy.core = core)
+}
+
+/// As [`rolled_out`], by policies with other settings.
+pub(crate) fn rolled_out_with(
+    change: impl Fn(&mut PolicyConfig),
+) -> (RunDescription, PolicySnapshot, Vec<TrajectoryChunk>) {
     let folder = tempfile::tempdir().unwrap();
     let mut launch = launch_in(folder.path(), 1);
-    launch.policy.core = core;
+    change(&mut launch.policy);
     let problem = problem(&launch.environment);
     let algorithm = marl::build(&launch.training, &launch.policy, &problem, launch.seed).unwrap();
     let policy = algorithm.snapshot().unwrap();

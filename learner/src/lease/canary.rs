@@ -5,6 +5,8 @@
 use policy::{ActorPolicy, Draw, PolicySnapshot, RunSeed, Scratch, generator};
 use proto::{AgentChunk, Reason, Refusal, RolloutOrigin, RunDescription, TrajectoryChunk};
 
+use crate::lease::slots::Trust;
+
 /// Largest difference between the actor's and the learner's log-probability (nats) or recurrent state.
 /// Another program's rounding stays well below it, another policy does not.
 pub const TOLERANCE: f32 = 1e-3;
@@ -23,8 +25,8 @@ pub enum Extent {
 
 /// Whether `policy` gives the chunk's log-probabilities and leads from each stored recurrent state to the
 /// next one, as far as `extent` says. The chunk has been validated for `run`, and the policy fits the run's environment.
-/// With `origin`, the slot that an exact actor computed, the actions of the chunk's first step must also be the ones that
-/// the slot's keys draw.
+/// `origin` is the slot. If the actor is exact, the actions of the chunk's first step must also be the ones that the slot's
+/// keys draw.
 ///
 /// # Errors
 /// Refuses the first agent and step at which they differ.
@@ -32,7 +34,7 @@ pub fn check(
     policy: &PolicySnapshot,
     run: &RunDescription,
     chunk: &TrajectoryChunk,
-    origin: Option<&RolloutOrigin>,
+    (origin, trust): (&RolloutOrigin, Trust),
     extent: Extent,
 ) -> Result<(), Refusal> {
     let environments = chunk.reward.len() / chunk.steps as usize;
@@ -50,15 +52,22 @@ pub fn check(
             Extent::Chunk if policy.hidden_size() > 0 => run.hidden_every as usize,
             _ => 1,
         };
-        let replay = Replay { policy, rows, environments, every, done: &done, end };
+        let draw = |step, environment| {
+            Draw::of_action(origin.iteration, environment, chunk.first_step + step, i as u32)
+        };
+        let replay = Replay {
+            policy,
+            rows,
+            environments,
+            every,
+            done: &done,
+            end,
+            seed: RunSeed(run.seed),
+            draw: &draw,
+            indices: &origin.environments,
+        };
         let found = replay.run(&mut scratch).and_then(|first| {
-            let Some(origin) = origin else { return Ok(()) };
-            let draw = |environment| {
-                let (iteration, step) = (origin.iteration, chunk.first_step);
-                Draw::of_action(iteration, environment, step, i as u32)
-            };
-            let draws = origin.environments.iter().copied().map(draw);
-            replay.same_actions(RunSeed(run.seed), draws, &first)
+            if trust == Trust::Exact { replay.same_actions(&first) } else { Ok(()) }
         });
         found.map_err(|(field, detail)| {
             Refusal::new(Reason::CanaryMismatch, format!("chunk.agents[{i}].{field}"), detail)
@@ -78,11 +87,16 @@ struct Replay<'a> {
     done: &'a [bool],
     /// `[E, H]` after the slot's last step, in its last chunk if that is checked whole.
     end: Option<&'a [f32]>,
+    seed: RunSeed,
+    /// The environments' indices over the whole run, `[E]`.
+    indices: &'a [u32],
+    /// The key of the action in a step of the chunk and an environment of the run.
+    draw: &'a dyn Fn(u32, u32) -> Draw,
 }
 
 /// What the policy makes of a chunk's observations.
 struct Replayed {
-    /// `[every, blocks, E, out]`
+    /// `[every, blocks, E, out]`, with the noise that agents share.
     output: Vec<f32>,
     /// `[blocks, E, H]` after each block.
     hidden: Vec<f32>,
@@ -114,19 +128,15 @@ impl Replay<'_> {
         Ok(first)
     }
 
-    /// Compares the actions of the first step with those that `draws` give, one for each environment.
-    fn same_actions(
-        &self,
-        seed: RunSeed,
-        draws: impl Iterator<Item = Draw>,
-        output: &[f32],
-    ) -> Result<(), Mismatch> {
+    /// Compares the actions of the first step with those that the slot's keys draw.
+    fn same_actions(&self, output: &[f32]) -> Result<(), Mismatch> {
         let width = self.policy.action_size();
         let mut drawn = vec![0.0; width];
         let outputs = output.chunks_exact(self.policy.output_size());
-        let rows = outputs.zip(self.rows.action.chunks_exact(width)).zip(draws);
-        for (e, ((output, found), draw)) in rows.enumerate() {
-            self.policy.draw(output, &mut generator(seed, draw), &mut drawn);
+        let rows = outputs.zip(self.rows.action.chunks_exact(width));
+        for (e, ((output, found), index)) in rows.zip(self.indices).enumerate() {
+            let key = (self.draw)(0, *index);
+            self.policy.draw(output, &mut generator(self.seed, key), &mut drawn);
             if found.iter().zip(&drawn).any(|(found, drawn)| differs(*found, *drawn)) {
                 let detail = format!(
                     "{found:?} at step 0 of environment {e}, the slot's random key gives {drawn:?}"
@@ -158,6 +168,11 @@ impl Replay<'_> {
                 observation.extend_from_slice(&block[step * count * obs..][..count * obs]);
             }
             self.policy.forward(blocks * count, &observation, &mut hidden, output, scratch);
+            for (row, output) in output.chunks_exact_mut(self.policy.output_size()).enumerate() {
+                let time = row / count * self.every + step;
+                let key = (self.draw)(time as u32, self.indices[row % count]);
+                self.policy.add_shared_noise(self.seed, key, output);
+            }
             for row in (0..blocks * count).filter(|row| self.is_done(*row, step)) {
                 hidden[row * units..(row + 1) * units].fill(0.0);
             }

@@ -11,7 +11,7 @@ use proto::{
 use crate::lease::canary::{self, Extent};
 use crate::lease::end_states::{StateReader, follow};
 use crate::lease::published::Published;
-use crate::lease::slots::{Assignment, ResultPart, Trust};
+use crate::lease::slots::{Assignment, ResultPart};
 
 /// What the next part of a lease's result is checked against.
 #[derive(Clone, Debug)]
@@ -69,8 +69,8 @@ impl Check {
         run: &RunDescription,
         states: &StateReader,
     ) -> Result<(), Refusal> {
-        let origin = (self.assignment.trust == Trust::Exact).then(|| slot.origin());
-        canary::check(&self.weights.policy, run, chunk, origin.as_ref(), self.extent)?;
+        let made = (&slot.origin(), self.assignment.trust);
+        canary::check(&self.weights.policy, run, chunk, made, self.extent)?;
         let (Some(end), Some(courses)) = (&chunk.end, &self.assignment.courses) else {
             return Ok(());
         };

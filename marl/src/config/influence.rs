@@ -41,6 +41,8 @@ pub enum Estimator {
     VariationalKl,
     /// Eq. 7: frequencies of joint actions. Needs discrete actions.
     Count,
+    /// Eq. 5 in closed form, by the loadings of noise that agents share.
+    Exact,
 }
 
 /// Training of the posterior.

@@ -125,6 +125,8 @@ pub(crate) struct Sequences {
     /// 0 where an episode has just begun, so that the recurrent state is reset, `[L, C]`. A chunk's first step has 1:
     /// its stored state is already reset.
     pub mask: Vec<f32>,
+    /// Signal that all agents share, `[L, C, K]`; empty with independent noise.
+    pub signal: Vec<f64>,
     widths: (usize, usize),
 }
 
@@ -141,6 +143,7 @@ impl Sequences {
             action: layout.chunked(&action, width),
             hidden: data.hidden.clone(),
             mask: mask(batch, layout),
+            signal: Vec::new(),
             widths: (observation, hidden),
         }
     }

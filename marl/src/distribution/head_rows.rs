@@ -21,19 +21,22 @@ pub struct HeadRows {
     pub outputs: Vec<f64>,
     /// Standard deviations, equal in all rows, `[act]`; empty for a discrete action.
     pub sigma: Vec<f64>,
+    /// Loadings of the noise that all agents share, `[act, K]`; empty if the noise is independent.
+    pub loading: Vec<f64>,
 }
 
 impl HeadRows {
     /// Gaussians with means `[R, act]` and standard deviations `[act]`.
     #[must_use]
     pub fn gaussian(mean: Vec<f64>, sigma: Vec<f64>) -> Self {
-        Self { kind: ActionKind::Continuous, outputs: mean, sigma }
+        Self { kind: ActionKind::Continuous, outputs: mean, sigma, loading: Vec::new() }
     }
 
     /// Categorical distributions with logits `[R, choices]`.
     #[must_use]
     pub fn categorical(logits: Vec<f64>, choices: usize) -> Self {
-        Self { kind: ActionKind::Discrete { choices }, outputs: logits, sigma: Vec::new() }
+        let kind = ActionKind::Discrete { choices };
+        Self { kind, outputs: logits, sigma: Vec::new(), loading: Vec::new() }
     }
 
     /// Values of a head's tensors.
@@ -43,7 +46,8 @@ impl HeadRows {
     pub fn of(distribution: &Distribution) -> Result<Self, MarlError> {
         Ok(match distribution {
             Distribution::Gaussian(own) => {
-                Self::gaussian(numbers(&own.mean)?, numbers(&own.sigma)?)
+                let loading = own.loading.as_ref().map(numbers).transpose()?.unwrap_or_default();
+                Self { loading, ..Self::gaussian(numbers(&own.mean)?, numbers(&own.sigma)?) }
             }
             Distribution::Categorical(own) => {
                 Self::categorical(numbers(&own.logits)?, own.logits.dim(1)?)
@@ -53,7 +57,8 @@ impl HeadRows {
 
     /// A copy with other outputs.
     fn with_outputs(&self, outputs: Vec<f64>) -> Self {
-        Self { kind: self.kind, outputs, sigma: self.sigma.clone() }
+        let (sigma, loading) = (self.sigma.clone(), self.loading.clone());
+        Self { kind: self.kind, outputs, sigma, loading }
     }
 
     /// Formulas of this kind of distribution.
@@ -103,8 +108,9 @@ impl HeadRows {
     /// A zero gradient in the shapes of these parameters.
     #[must_use]
     pub fn zeros(&self) -> Self {
-        let (outputs, sigma) = (vec![0.0; self.outputs.len()], vec![0.0; self.sigma.len()]);
-        Self { kind: self.kind, outputs, sigma }
+        let zeros = |of: &[f64]| vec![0.0; of.len()];
+        let (outputs, sigma) = (zeros(&self.outputs), zeros(&self.sigma));
+        Self { kind: self.kind, outputs, sigma, loading: zeros(&self.loading) }
     }
 
     /// `log p(a)` of the rows `of`, nats; `action` is `[R, act]`.
@@ -148,7 +154,7 @@ impl HeadRows {
         self.with_outputs(rows.iter().flat_map(|&row| self.row(row).outputs).copied().collect())
     }
 
-    /// A copy with `shift` `[R, out]` added to the outputs and sigma multiplied by `factor`, `[act]`.
+    /// A copy with `shift` `[R, out]` added to the outputs, sigma multiplied by `factor`, `[act]`, and independent noise.
     ///
     /// # Panics
     /// If the shapes differ.
@@ -159,6 +165,7 @@ impl HeadRows {
             kind: self.kind,
             outputs: self.outputs.iter().zip(shift).map(|(x, by)| x + by).collect(),
             sigma: self.sigma.iter().zip(factor).map(|(x, by)| x * by).collect(),
+            loading: Vec::new(),
         }
     }
 
@@ -202,10 +209,12 @@ impl HeadRows {
     /// If a tensor operation fails.
     pub fn root(&self, head: &Distribution) -> Result<Tensor, MarlError> {
         let outputs = match head {
-            Distribution::Gaussian(own) => vec![&own.mean, &own.sigma],
+            Distribution::Gaussian(own) => {
+                [&own.mean, &own.sigma].into_iter().chain(&own.loading).collect()
+            }
             Distribution::Categorical(own) => vec![&own.logits],
         };
-        let outputs = outputs.into_iter().zip([&self.outputs, &self.sigma]);
+        let outputs = outputs.into_iter().zip([&self.outputs, &self.sigma, &self.loading]);
         let outputs: Vec<OutputGradient<'_>> =
             outputs.map(|(output, gradient)| OutputGradient { output, gradient }).collect();
         gradient::root(&outputs)

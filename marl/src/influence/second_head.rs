@@ -92,7 +92,7 @@ impl SecondHead {
         let encoded = encoder.apply(&rows(others, self.others)?, None)?;
         let mean = joined.apply(&Tensor::cat(&[features, &encoded], 1)?, None)?;
         let sigma = (sigmoid(self.log_std.as_tensor())? * self.sigma_scale)?;
-        Ok(Distribution::Gaussian(Gaussian { mean, sigma }))
+        Ok(Distribution::Gaussian(Gaussian { mean, sigma, loading: None }))
     }
 
     /// `q_xi` of every row of `data`, as constants.

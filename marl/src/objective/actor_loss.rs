@@ -3,6 +3,7 @@
 
 use super::surrogate::{clipped_surrogate, is_clamped, ratio};
 use crate::distribution::{HeadRows, gaussian};
+use crate::influence::exact::exact_information;
 use crate::influence::{influence, regularized_objective};
 use crate::shape::assert_shape;
 
@@ -32,6 +33,10 @@ pub struct Rows {
     pub factor: Vec<f64>,
     /// Posterior `q` of every row; `None` without an influence term.
     pub posterior: Option<HeadRows>,
+    /// Signal of every row, `[R, K]`; empty with independent noise.
+    pub signal: Vec<f64>,
+    /// Precision that the other agents' actions add to the signal's, `[K, K]`; `None` unless influence is exact.
+    pub others: Option<Vec<f64>>,
 }
 
 /// Metrics of a minibatch. All are means over its rows; those of its parts add up.
@@ -47,7 +52,7 @@ pub struct Figures {
     pub clip_fraction: f64,
     /// Fraction of rows whose log-ratio is clamped.
     pub clamped_fraction: f64,
-    /// Mean influence term, the capped `KL[q || p]`, nats.
+    /// Mean influence term, the capped `KL[q || p]` or the exact information, nats.
     pub influence: f64,
     /// Fraction of rows whose divergence is at its cap.
     pub capped_fraction: f64,
@@ -84,7 +89,9 @@ impl Figures {
 
 /// Eq. (10): `-mean_R [ M min(ratio A, clip(ratio) A) + lambda min(KL[q || p], kappa act) + c_entropy H[p] ]`, and its
 /// gradient with respect to the parameters of `p`. The `R` rows are part of a minibatch of `total` rows. Every mean is
-/// divided by `total`, so that the results of all parts add up.
+/// divided by `total`, so that the results of all parts add up. With noise that agents share, the ratio is that of the
+/// policies given the signal; entropy and divergence are those of the policy without it. Exact influence (Eq. 5)
+/// replaces the divergence.
 ///
 /// # Panics
 /// If the shapes of `p` and `rows` differ.
@@ -100,12 +107,16 @@ pub fn actor_loss(
     let distribution = p.distribution();
     let width = p.action_size();
     let mut figures = Figures::default();
-    let mut gradient = p.zeros();
+    let given = p.given(&rows.signal);
+    let mut gradient = given.zeros();
     for row in 0..p.count() {
         let action = &rows.action[row * width..(row + 1) * width];
-        let log_prob = distribution.log_prob(action, p.row(row));
+        let log_prob = distribution.log_prob(action, given.row(row));
         let slope = surrogate_slope(row, log_prob, rows, share, coefficients.clip, &mut figures);
-        gradient.add_log_prob_gradient(slope, row, action, p);
+        gradient.add_log_prob_gradient(slope, row, action, &given);
+    }
+    let mut gradient = p.gradient_through(gradient, &rows.signal);
+    for row in 0..p.count() {
         let weight = -coefficients.entropy * share;
         let outputs = p.row(row).outputs;
         figures.entropy += share * distribution.row_entropy(outputs);
@@ -120,6 +131,14 @@ pub fn actor_loss(
         figures.gradient_without_influence = before.iter().copied().map(f64::abs).sum();
     }
     let share = p.count() as f64 * share;
+    if let Some(others) = &rows.others {
+        let size = p.loading.len() / width;
+        let (information, slopes) = exact_information(&p.loading, others, size);
+        figures.influence += share * information;
+        let weight = coefficients.lambda * share;
+        let to = gradient.loading.iter_mut().zip(&slopes);
+        to.for_each(|(to, slope)| *to -= weight * slope);
+    }
     figures.entropy += share * gaussian::entropy(&p.sigma);
     for (d_sigma, sigma) in gradient.sigma.iter_mut().zip(&p.sigma) {
         *d_sigma -= coefficients.entropy * share / sigma;
@@ -218,6 +237,7 @@ mod tests {
             advantage: vec![0.7, 1.2, 0.9],
             factor: vec![1.0, 1.3, 0.8],
             posterior: Some(q),
+            ..Rows::default()
         }
     }
 
@@ -230,6 +250,7 @@ mod tests {
             advantage: all.advantage[of.clone()].to_vec(),
             factor: all.factor[of].to_vec(),
             posterior: all.posterior.as_ref().map(|q| q.of_rows(&rows)),
+            ..Rows::default()
         };
         (p.of_rows(&rows), part)
     }
@@ -257,7 +278,7 @@ mod tests {
 
     #[test]
     fn the_gradient_matches_finite_differences() {
-        for (p, rows) in [gaussians(), choices()] {
+        for (p, rows) in [gaussians(), choices(), sharing()] {
             let found = actor_loss(&p, &rows, 3, &ALL).1;
             let check = |of: fn(&mut HeadRows) -> &mut Vec<f64>| {
                 for (at, found) in of(&mut found.clone()).iter().enumerate() {
@@ -272,7 +293,32 @@ mod tests {
             };
             check(|rows| &mut rows.outputs);
             check(|rows| &mut rows.sigma);
+            check(|rows| &mut rows.loading);
         }
+    }
+
+    /// As [`gaussians`], without a divergence, with a shared signal and exact influence.
+    fn sharing() -> (HeadRows, Rows) {
+        let (p, rows) = gaussians();
+        let p = HeadRows { loading: vec![0.6, -0.3], ..p };
+        let signal = vec![0.5, -1.0, 0.2];
+        let now = p.given(&signal).log_prob(&rows.action, &[0, 1, 2]).into_iter();
+        let log_prob_old = now.zip([1.1, 1.5, 0.6]).map(|(now, ratio)| now - libm::log(ratio));
+        let (log_prob_old, others) = (log_prob_old.collect(), Some(vec![0.9]));
+        (p, Rows { log_prob_old, signal, others, posterior: None, ..rows })
+    }
+
+    #[test]
+    fn exact_influence_and_the_entropy_without_the_signal_are_those_of_a_worked_case() {
+        let (p, rows) = sharing();
+        let figures = actor_loss(&p, &rows, 3, &ALL).0;
+        // P_i = 0.36 / 0.64 + 0.09 / 0.91, P_-i = 0.9.
+        let own = 1.0 + 0.36 / 0.64 + 0.09 / 0.91;
+        let information = 0.5 * libm::log(own * 1.9 / (own + 0.9));
+        assert!((figures.influence - information).abs() < 1e-12, "{}", figures.influence);
+        assert!((figures.entropy - gaussian::entropy(&p.sigma)).abs() < 1e-12);
+        let terms = 0.4 * information + 0.03 * figures.entropy;
+        assert!((figures.loss - (figures.policy_loss - terms)).abs() < 1e-12);
     }
 
     #[test]
@@ -301,6 +347,7 @@ mod tests {
             advantage: vec![0.8],
             factor: vec![1.0],
             posterior: Some(q),
+            ..Rows::default()
         };
         let share = actor_loss(&p, &rows, 1, &ALL).0.influence_share();
         assert!((share - 1.0 / 9.0).abs() < 1e-12, "{share}");

@@ -203,7 +203,8 @@ impl Team {
         if !returns.iter().flatten().all(|value| value.is_finite()) {
             return Ok(None);
         }
-        let gathered = || agent::gather(&self.agents, batch, layout, &advantages);
+        let key = (self.seed, iteration);
+        let gathered = || agent::gather(&self.agents, batch, layout, &advantages, key);
         let experience = trace_span!("behaviour").in_scope(gathered)?;
         let agents = &mut self.agents;
         let seed = self.seed;
@@ -314,12 +315,16 @@ fn entropy_and_sigma(
     let sigma: Vec<f64> = policy.sigma().iter().map(|&s| f64::from(s)).collect();
     Ok(match policy.head() {
         Head::Categorical { .. } => vec![("entropy", figures.entropy)],
-        _ => vec![
-            ("entropy", gaussian::entropy(&sigma)),
-            ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
-            ("sigma_smallest", sigma.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
-            ("sigma_floored", agent.floored(policy.sigma())),
-        ],
+        _ => {
+            let mut named = vec![
+                ("entropy", gaussian::entropy(&sigma)),
+                ("sigma", sigma.iter().sum::<f64>() / sigma.len() as f64),
+                ("sigma_smallest", sigma.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
+                ("sigma_floored", agent.floored(policy.sigma())),
+            ];
+            named.extend(policy.mean_loading().map(|found| ("noise_loading", found)));
+            named
+        }
     })
 }
 

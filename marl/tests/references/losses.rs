@@ -22,6 +22,7 @@ fn agreeing_loss(reference: &ReferenceValues, p: &HeadRows, q: HeadRows) -> Head
         advantage: reference.numbers("input/advantage"),
         factor: reference.numbers("input/factor"),
         posterior: Some(q),
+        ..Rows::default()
     };
     let coefficients = Coefficients {
         clip: reference.setting("update.clip"),

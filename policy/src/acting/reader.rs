@@ -34,6 +34,14 @@ impl Reader<'_> {
         Ok(self.array(name, &[length])?.to_vec())
     }
 
+    pub(super) fn matrix(
+        &mut self,
+        name: &str,
+        shape: [usize; 2],
+    ) -> Result<Vec<f32>, PolicyError> {
+        Ok(self.array(name, &shape)?.to_vec())
+    }
+
     /// The standardisation of observations, if present.
     pub(super) fn standardisation(
         &mut self,

@@ -143,6 +143,10 @@ impl ActorSpec {
         self.head.unwrap_or(Head::Gaussian)
     }
 
+    pub(crate) fn action(&self) -> usize {
+        self.action
+    }
+
     pub(crate) fn outputs(&self) -> usize {
         self.head().outputs(self.action)
     }
@@ -187,7 +191,8 @@ impl fmt::Display for ActorSpec {
             }
             (_, None) => {
                 let (action, scale) = (self.action, self.sigma_scale);
-                write!(f, ", {action} Gaussian actions with sigma_scale {scale}")
+                write!(f, ", {action} Gaussian actions with sigma_scale {scale}")?;
+                self.head().shared_noise().map_or(Ok(()), |noise| write!(f, " and {noise}"))
             }
             (_, Some((half, middle))) => {
                 let (low, high) = (middle - half, middle + half);

@@ -10,7 +10,7 @@
 use proto::{ActionSpec, FeatureRole, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
-use super::{AGENTS, EPISODE_STEPS, Game, at, features};
+use super::{EPISODE_STEPS, Game, at, features};
 use crate::noise;
 
 const CUES: usize = 3;
@@ -30,12 +30,13 @@ impl Game for Cue {
     const NAME: &'static str = "cue-2x1";
     const STATE_KIND: &'static str = "discrete/cue";
     const IS_WHOLE: bool = true;
+    const AGENTS: usize = 2;
     const ACTION: ActionSpec =
         ActionSpec { size: 1, low: 0.0, high: (CUES - 1) as f32, choices: Some(CUES as u32) };
 
     fn observed(_agent: usize) -> Vec<FeatureSpec> {
         let cue = features("cue", CUES, FeatureRole::Signal);
-        [Self::global(), cue, features("id", AGENTS, FeatureRole::Identity)].concat()
+        [Self::global(), cue, features("id", Self::AGENTS, FeatureRole::Identity)].concat()
     }
 
     /// The global state does not contain the cue.

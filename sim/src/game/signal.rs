@@ -36,6 +36,7 @@ impl Game for Signal {
     const NAME: &'static str = "signal-2x1";
     const STATE_KIND: &'static str = "game/signal";
     const IS_WHOLE: bool = false;
+    const AGENTS: usize = 2;
     const ACTION: ActionSpec = ActionSpec::continuous(1);
 
     fn observed(agent: usize) -> Vec<FeatureSpec> {

@@ -56,8 +56,10 @@ impl Model {
 /// The model of one agent; `about` goes into its metadata.
 pub(super) fn model(agent: &ActorPolicy, about: &BTreeMap<String, String>) -> Model {
     let mut graph = Graph::new("policy".to_owned());
-    // No node uses the deviations of actions; the metadata contains them as `sigma`.
-    for (name, array) in agent.arrays().iter().filter(|(name, _)| *name != "head.log_std") {
+    // No node uses the deviations of actions, which the metadata contain as `sigma`, or their correlation.
+    let unused = ["head.log_std", "head.loading"];
+    for (name, array) in agent.arrays().iter().filter(|(name, _)| !unused.contains(&name.as_str()))
+    {
         let Array::F32 { shape, data } = array else { unreachable!("{name}: policies are f32") };
         graph.constant(name, shape, data);
     }
@@ -338,7 +340,9 @@ fn input_norm(graph: &mut Graph, agent: &ActorPolicy, seen: &str) -> String {
 /// The action of an evaluation, from the network's output.
 fn action(graph: &mut Graph, agent: &ActorPolicy) {
     match agent.head() {
-        Head::Gaussian => graph.node("Identity", &["output"], &["action"], []),
+        Head::Gaussian | Head::SharedGaussian(_) => {
+            graph.node("Identity", &["output"], &["action"], [])
+        }
         Head::Categorical { .. } => {
             let attributes = [integer("axis", 1), integer("keepdims", 1)];
             graph.node("ArgMax", &["output"], &["action"], attributes);

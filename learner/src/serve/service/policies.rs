@@ -223,7 +223,7 @@ impl ServedPolicies {
 
 fn distribution(head: Head) -> wire::ActionDistribution {
     match head {
-        Head::Gaussian => wire::ActionDistribution::Gaussian,
+        Head::Gaussian | Head::SharedGaussian(_) => wire::ActionDistribution::Gaussian,
         Head::Categorical { .. } => wire::ActionDistribution::Categorical,
         Head::Deterministic { .. } => wire::ActionDistribution::ClampedGaussian,
         Head::Uniform { .. } => wire::ActionDistribution::Uniform,

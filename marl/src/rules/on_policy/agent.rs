@@ -6,7 +6,7 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorNetwork, ActorPolicy, PolicyConfig};
+use policy::{ActorNetwork, ActorPolicy, PolicyConfig, SharedNoise};
 use rayon::prelude::*;
 
 use crate::config::{Estimator, QTraining, TrainingConfig, UpdateConfig};
@@ -25,8 +25,8 @@ use crate::rules::on_policy::experience::{Experience, Influence, mean};
 use crate::state::{Visitor, visit_parameters};
 use crate::surprise::entropy_bound;
 
-/// A network in training. It has a posterior or a second head if the influence term has a weight and there are other
-/// agents.
+/// A network in training. It has a posterior or a second head if the influence term has a weight, there are other
+/// agents, and the estimator learns.
 pub(crate) struct Agent {
     /// Agents that share parameters share the network.
     pub(crate) network: Arc<ActorNetwork>,
@@ -39,8 +39,10 @@ pub(crate) struct Agent {
     pub(super) posterior: Option<Posterior>,
     pub(super) second_head: Option<SecondHead>,
     holdout_every: usize,
-    /// Whether counts replace the posterior.
-    counted: bool,
+    /// Estimator of the influence term; `None` without one.
+    estimator: Option<Estimator>,
+    /// `None` if the agents' noise is independent.
+    noise: Option<SharedNoise>,
     /// Steps between the others' actions that a posterior receives and the agent's own action.
     lag: usize,
     sigma_floor: f32,
@@ -58,7 +60,7 @@ impl Agent {
         let number = index as u32;
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(number));
         let (observation, action) = (shape.observation, shape.action);
-        let head = shape.kind.head();
+        let head = policy.with_noise(shape.kind.head());
         let network = ActorNetwork::new(policy, observation, action, head, &mut rng)?;
         let sizes = problem.agents.iter().map(|agent| agent.kind.encoded_size(agent.action));
         let total: usize = sizes.sum();
@@ -75,14 +77,15 @@ impl Agent {
             kind: shape.kind,
         };
         let wanted = influence.lambda > 0.0 && own.others > 0;
-        let counts = influence.estimator == Estimator::Count;
+        let estimator = wanted.then_some(influence.estimator);
+        let learnt = estimator == Some(Estimator::VariationalKl);
         let q_adam = AdamConfig { learning_rate: influence.learning_rate, ..adam };
         let shared = influence.q_training == QTraining::Shared;
         let start_of_q = (seed, number);
-        let posterior = (wanted && !counts && !shared)
+        let posterior = (learnt && !shared)
             .then(|| Posterior::new(influence, q_adam, own, start_of_q))
             .transpose()?;
-        let second_head = (wanted && shared)
+        let second_head = (learnt && shared)
             .then(|| SecondHead::new(influence, policy, own, start_of_q))
             .transpose()?;
         let none = Parameters::new();
@@ -103,7 +106,8 @@ impl Agent {
             posterior,
             second_head,
             holdout_every: influence.holdout_every,
-            counted: wanted && counts,
+            estimator,
+            noise: head.shared_noise(),
             lag: influence.lag,
             sigma_floor: policy.sigma_floor,
         })
@@ -146,8 +150,8 @@ impl Agent {
         sigma.iter().filter(|&&sigma| sigma <= lowest).count() as f64 / sigma.len() as f64
     }
 
-    /// The current weights' outputs for all rows, computed in shards: the policy, the log-probabilities of the actions,
-    /// `[L, C]`, and the features, `[L * C, F]`.
+    /// The current weights' outputs for all rows, computed in shards: the policy, the log-probabilities of the actions
+    /// given the signal, `[L, C]`, and the features, `[L * C, F]`.
     pub(super) fn evaluate(
         &self,
         sequences: &Sequences,
@@ -165,7 +169,9 @@ impl Agent {
         let rows = HeadRows::gathered(&heads, layout, &parts);
         let width = rows.action_size();
         let actions = sequences.action.chunks_exact(width).enumerate();
-        let log_prob = actions.map(|(row, action)| rows.log_prob_of(row, action)).collect();
+        let given = rows.given(&sequences.signal);
+        let log_prob = actions.map(|(row, action)| given.log_prob_of(row, action)).collect();
+        drop(given);
         let order = Tensor::from_vec(layout.order(&parts), layout.rows(), &Device::Cpu)?;
         Ok((rows, log_prob, Tensor::cat(&features, 0)?.index_select(&order, 0)?))
     }
@@ -206,13 +212,21 @@ impl Agent {
         };
         let found = || -entropy_bound(&conditional.log_prob(action, &holdout));
         let log_likelihood = fitted.unwrap_or_else(found);
-        let log_p: Vec<f64> = holdout.iter().map(|&row| experience.log_prob[row]).collect();
+        let log_p = experience.behaviour.log_prob(action, &holdout);
         let log_q = conditional.log_prob(action, &holdout);
         let mi_estimate = mutual_information(&log_q, &log_p);
         let held_out = mi_estimate.map(|_| (entropy_bound(&log_q), entropy_bound(&log_p)));
         let divergence = mean(&conditional.kl_divergences(&experience.behaviour));
-        let conditional = Some(conditional);
-        Ok(Influence { conditional, log_likelihood, mi_estimate, held_out, divergence, skipped })
+        let (conditional, others) = (Some(conditional), None);
+        Ok(Influence {
+            conditional,
+            others,
+            log_likelihood,
+            mi_estimate,
+            held_out,
+            divergence,
+            skipped,
+        })
     }
 }
 
@@ -222,13 +236,17 @@ pub(crate) fn gather(
     batch: &Batch,
     layout: ChunkLayout,
     advantages: &[Vec<f64>],
+    key: (RunSeed, u64),
 ) -> Result<Vec<Experience>, MarlError> {
+    let signal = shared_signal(agents[0].noise, batch, layout, key);
     let one = |index: usize| {
         let agent = &agents[index];
-        let sequences = Sequences::of(batch, index, layout, agent.hidden_size());
+        let mut sequences = Sequences::of(batch, index, layout, agent.hidden_size());
+        sequences.signal.clone_from(&signal);
         let (behaviour, log_prob, features) = agent.evaluate(&sequences)?;
         let others = other_actions(agents, batch, index, layout);
-        let samples = agent.counted.then(|| counted::samples(&sequences, &others));
+        let samples = (agent.estimator == Some(Estimator::Count))
+            .then(|| counted::samples(&sequences, &others));
         Ok(Experience {
             sequences,
             advantage: layout.chunked(&advantages[index], 1),
@@ -240,6 +258,22 @@ pub(crate) fn gather(
         })
     };
     (0..agents.len()).into_par_iter().map(one).collect()
+}
+
+/// The signal that all agents shared in every row of the iteration's data, `[L, C, K]`; empty with independent noise.
+fn shared_signal(
+    noise: Option<SharedNoise>,
+    batch: &Batch,
+    layout: ChunkLayout,
+    (seed, iteration): (RunSeed, u64),
+) -> Vec<f64> {
+    let Some(noise) = noise else { return Vec::new() };
+    let of_row = |row: usize| {
+        let (step, environment) = (row / batch.environments, row % batch.environments);
+        noise.signal(seed, Draw::of_action(iteration, environment as u32, step as u32, 0))
+    };
+    let rows = (0..batch.rows()).flat_map(of_row).map(f64::from);
+    layout.chunked(&rows.collect::<Vec<f64>>(), noise.size)
 }
 
 /// Encoded actions of all agents but `agent`, joined in agent order, `[L, C, others]`: those of the same step, or with
@@ -271,16 +305,19 @@ fn earlier(batch: &Batch, row: usize, lag: usize) -> Option<usize> {
     (lag == 0 || !batch.done(before)).then_some(before)
 }
 
-/// Posteriors of all agents, computed in parallel.
+/// Posteriors of all agents, or their exact information, computed in parallel.
 pub(crate) fn fit_posteriors(
     agents: &mut [Agent],
     experience: &[Experience],
     seed: RunSeed,
     iteration: u64,
 ) -> Result<Vec<Influence>, MarlError> {
-    let one = |(index, (agent, experience)): (usize, (&mut Agent, &Experience))| {
+    let one = |(index, (agent, own)): (usize, (&mut Agent, &Experience))| {
+        if agent.estimator == Some(Estimator::Exact) {
+            return Ok(Influence::exact(index, experience));
+        }
         let draw = Draw::of(Purpose::PosteriorMinibatch).iteration(iteration).agent(index as u32);
-        agent.fit_posterior(experience, (seed, draw))
+        agent.fit_posterior(own, (seed, draw))
     };
     agents.par_iter_mut().zip(experience).enumerate().map(one).collect()
 }

@@ -164,6 +164,8 @@ fn shard(
         advantage: layout.columns(&experience.advantage, 1, columns),
         factor: layout.columns(factor, 1, columns),
         posterior: q.clone().or_else(inputs),
+        signal: layout.columns(&sequences.signal, sequences.signal.len() / layout.rows(), columns),
+        others: influence.others.clone(),
     };
     let total = layout.steps * total;
     let (figures, gradient) = actor_loss(&p, &rows, total, &agent.coefficients);
@@ -186,7 +188,7 @@ impl Accumulate for Figures {
 pub(crate) struct PolicyChange {
     /// Log-probabilities of all actions under the current weights, `[L, C]`, nats.
     pub(crate) log_prob: Vec<f64>,
-    /// Mean of `KL[old || new]` over all rows, in closed form, nats.
+    /// Mean of `KL[old || new]` over all rows, given the signal that agents share, in closed form, nats.
     pub(crate) kl: f64,
 }
 
@@ -196,6 +198,8 @@ pub(crate) fn policy_change(
     experience: &Experience,
 ) -> Result<PolicyChange, MarlError> {
     let (now, log_prob, _) = agent.evaluate(&experience.sequences)?;
-    let kl = experience.behaviour.kl_divergences(&now).iter().sum::<f64>();
+    let signal = &experience.sequences.signal;
+    let divergences = experience.behaviour.given(signal).kl_divergences(&now.given(signal));
+    let kl = divergences.iter().sum::<f64>();
     Ok(PolicyChange { log_prob, kl: kl / experience.sequences.layout.rows() as f64 })
 }

@@ -5,6 +5,7 @@ use candle_core::Tensor;
 use crate::data::sequence::Sequences;
 use crate::distribution::HeadRows;
 use crate::influence::count::JointSample;
+use crate::influence::exact::{exact_information, signal_precision};
 use crate::influence::posterior::Conditions;
 use crate::rules::algorithm::Report;
 
@@ -13,9 +14,9 @@ pub(crate) struct Experience {
     pub(crate) sequences: Sequences,
     /// Normalised advantages, `[L, C]`.
     pub(crate) advantage: Vec<f64>,
-    /// Log-probabilities of the actions under the behaviour weights, `[L, C]`, nats.
+    /// Log-probabilities of the actions under the behaviour weights, given the signal, `[L, C]`, nats.
     pub(crate) log_prob: Vec<f64>,
-    /// The behaviour policy of every row.
+    /// The behaviour policy of every row, without the signal that agents share.
     pub(crate) behaviour: HeadRows,
     /// The trunk's features under the behaviour weights, `[L * C, F]`; constant.
     pub(super) features: Tensor,
@@ -26,6 +27,11 @@ pub(crate) struct Experience {
 }
 
 impl Experience {
+    /// `K`, 0 with independent noise.
+    fn signal_size(&self) -> usize {
+        self.behaviour.loading.len() / self.behaviour.action_size()
+    }
+
     /// Inputs of a posterior for every row.
     pub(super) fn conditions(&self) -> Conditions<'_> {
         let features = &self.features;
@@ -38,9 +44,11 @@ impl Experience {
 #[derive(Clone, Default)]
 pub(crate) struct Influence {
     pub(crate) conditional: Option<HeadRows>,
+    /// Precision that the other agents' actions add to the signal's, `[K, K]`; only if influence is exact.
+    pub(crate) others: Option<Vec<f64>>,
     /// Mean log-likelihood on the training rows, nats.
     pub(super) log_likelihood: f64,
-    /// Mean of `log q - log p` on held-out rows, or Eq. (7) by counting over all rows, nats.
+    /// Mean of `log q - log p` on held-out rows, Eq. (7) by counting over all rows, or the exact information, nats.
     pub(super) mi_estimate: Option<f64>,
     /// Mean negative log-likelihoods of the posterior and of the policy on held-out rows, nats.
     pub(super) held_out: Option<(f64, f64)>,
@@ -51,15 +59,26 @@ pub(crate) struct Influence {
 }
 
 impl Influence {
-    pub(crate) fn report(&self, agent: usize) -> Report {
-        if self.conditional.is_none() {
-            return Report::new();
+    /// Exact information between an agent's actions and the others', by all agents' behaviour policies.
+    pub(super) fn exact(agent: usize, experience: &[Experience]) -> Self {
+        let size = experience[agent].signal_size();
+        let mut others = vec![0.0; size * size];
+        for (_, other) in experience.iter().enumerate().filter(|(index, _)| *index != agent) {
+            let precision = signal_precision(&other.behaviour.loading, size);
+            others.iter_mut().zip(precision).for_each(|(sum, one)| *sum += one);
         }
-        let mut named = vec![
-            ("posterior_log_likelihood", self.log_likelihood),
-            ("posterior_kl", self.divergence),
-            ("posterior_skipped_steps", self.skipped as f64),
-        ];
+        let (information, _) =
+            exact_information(&experience[agent].behaviour.loading, &others, size);
+        Self { others: Some(others), mi_estimate: Some(information), ..Self::default() }
+    }
+
+    pub(crate) fn report(&self, agent: usize) -> Report {
+        let mut named = Vec::new();
+        if self.conditional.is_some() {
+            named.push(("posterior_log_likelihood", self.log_likelihood));
+            named.push(("posterior_kl", self.divergence));
+            named.push(("posterior_skipped_steps", self.skipped as f64));
+        }
         named.extend(self.mi_estimate.map(|found| ("mi_estimate", found)));
         if let Some((posterior, policy)) = self.held_out {
             named.extend([("posterior_nll", posterior), ("policy_nll", policy)]);

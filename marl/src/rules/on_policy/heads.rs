@@ -87,7 +87,7 @@ mod tests {
         let layout = ChunkLayout::of(&batch, policy.backpropagation_steps);
         let advantage: Vec<f64> = batch.reward.iter().map(|&r| f64::from(r)).collect();
         let advantages = vec![advantage.clone(), advantage];
-        let experience = gather(&agents, &batch, layout, &advantages).unwrap();
+        let experience = gather(&agents, &batch, layout, &advantages, (RunSeed(3), 0)).unwrap();
         let influence = fit_posteriors(&mut agents, &experience, RunSeed(0), 0).unwrap();
         (agents, experience, influence)
     }

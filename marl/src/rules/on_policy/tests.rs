@@ -1,5 +1,7 @@
 //! Before a policy changes, every ratio and the factor `M` are 1, and its outputs do not depend on the shards.
 
+mod shared_noise;
+
 use policy::randomness::{Draw, Purpose};
 use policy::{CoreKind, PolicyConfig, RunSeed};
 
@@ -70,7 +72,7 @@ fn the_first_ratio_of_every_row_and_the_factor_of_an_unchanged_policy_are_one() 
         let (agents, batch) = agents(core);
         let layout = layout(&batch);
         let advantages = vec![vec![1.0; batch.rows()]; 2];
-        let experience = gather(&agents, &batch, layout, &advantages).unwrap();
+        let experience = gather(&agents, &batch, layout, &advantages, (RunSeed(3), 0)).unwrap();
         for columns in minibatches(layout.chunks, 3, RunSeed(7), Draw::of(Purpose::Minibatch)) {
             let row = |step: usize| columns.iter().map(move |column| step * layout.chunks + column);
             for row in (0..layout.steps).flat_map(row) {

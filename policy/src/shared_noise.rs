@@ -1,0 +1,211 @@
+//! Exploration noise of which a part is a signal that all agents share, so that their simultaneous actions are
+//! correlated: `a = mu + sigma (r z + sqrt(1 - |r|^2) eps)`, element-wise in the `act` action dimensions.
+//!
+//! The signal `z`, `[K]`, is standard normal. Its key names no agent, so every process computes it and none sends it.
+//! The loadings `r`, `[act, K]`, have rows of norm below 1; `eps` is each agent's own. Given `z`, the policy is a
+//! diagonal Gaussian with mean `mu + sigma r z` and deviations `sigma sqrt(1 - |r|^2)`. Without `z`, its deviations are
+//! `sigma`.
+
+use std::fmt;
+
+use candle_core::{Device, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::error::PolicyError;
+use crate::ops::sigmoid;
+use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+
+/// Largest norm of a row of loadings.
+pub const LARGEST_LOADING: f32 = 0.95;
+/// Most numbers of a signal.
+pub const MAX_SIGNAL: usize = 8;
+/// Most steps for which a signal stays the same.
+pub const MAX_HOLD: u32 = 10_000;
+/// Initial value of the parameters `u` of learnt loadings. At 0 neither exploration nor information has a gradient.
+const INITIAL: f32 = 0.1;
+
+/// How agents share a part of their noise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SharedNoise {
+    /// `K`, numbers of the signal.
+    pub size: usize,
+    /// Steps for which the signal stays the same.
+    pub hold: u32,
+    /// Norm of every row of loadings; absent if they are learnt.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub loading: Option<f32>,
+}
+
+/// What determines the shape of the loadings.
+impl fmt::Display for SharedNoise {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let loadings = if self.loading.is_some() { "constant" } else { "learnt" };
+        write!(f, "shared noise of size {} with {loadings} loadings", self.size)
+    }
+}
+
+impl SharedNoise {
+    /// Whether all values are in their ranges.
+    pub(crate) fn is_valid(self) -> bool {
+        let holds = |loading: f32| loading > 0.0 && loading <= LARGEST_LOADING;
+        (1..=MAX_SIGNAL).contains(&self.size)
+            && (1..=MAX_HOLD).contains(&self.hold)
+            && self.loading.is_none_or(holds)
+    }
+
+    /// The signal `[K]` of the step whose action has the key `action`, whichever agent's it is.
+    #[must_use]
+    pub fn signal(self, seed: RunSeed, action: Draw) -> Vec<f32> {
+        let mut rng = generator(seed, action.of_signal(self.hold));
+        (0..self.size).map(|_| standard_normal(&mut rng)).collect()
+    }
+
+    /// A matrix `[act, K]` with `value` where row `d` meets column `d mod K`, else 0.
+    fn pattern(self, action: usize, value: f32) -> Vec<f32> {
+        let element = |(row, column): (usize, usize)| {
+            if row % self.size == column { value } else { 0.0 }
+        };
+        let rows = (0..action).flat_map(|row| (0..self.size).map(move |column| (row, column)));
+        rows.map(element).collect()
+    }
+
+    /// Initial parameters `u`, `[act, K]`.
+    pub(crate) fn initial(self, action: usize) -> Result<Tensor, PolicyError> {
+        let values = self.pattern(action, INITIAL);
+        Ok(Tensor::from_vec(values, (action, self.size), &Device::Cpu)?)
+    }
+
+    /// Largest magnitude of a learnt loading, so that no row exceeds [`LARGEST_LOADING`].
+    fn limit(self) -> f32 {
+        LARGEST_LOADING / (self.size as f32).sqrt()
+    }
+
+    /// The loadings `limit tanh(u)`, `[act, K]`, of parameters `u`, or the constant ones.
+    pub(crate) fn loadings(self, u: Option<&Tensor>, action: usize) -> Result<Tensor, PolicyError> {
+        let limit = f64::from(self.limit());
+        match u {
+            // tanh(u) = 2 sigmoid(2 u) - 1
+            Some(u) => Ok(sigmoid(&(u * 2.0)?)?.affine(2.0 * limit, -limit)?),
+            None => {
+                let values = self.pattern(action, self.loading.unwrap_or_default());
+                Ok(Tensor::from_vec(values, (action, self.size), &Device::Cpu)?)
+            }
+        }
+    }
+}
+
+/// A policy's deviations given the signal.
+#[derive(Clone, Debug)]
+pub(crate) struct GivenSignal {
+    noise: SharedNoise,
+    /// `r`, `[act, K]`.
+    loadings: Vec<f32>,
+    /// `sigma r`, `[act, K]`.
+    shifts: Vec<f32>,
+    /// `sigma sqrt(1 - |r|^2)`, `[act]`.
+    pub(crate) deviations: Vec<f32>,
+}
+
+impl GivenSignal {
+    /// Deviations of a policy with `sigma` `[act]`, and the parameters `u` `[act, K]` if its loadings are learnt.
+    pub(crate) fn new(noise: SharedNoise, sigma: &[f32], u: Option<&[f32]>) -> Self {
+        let constant = noise.pattern(sigma.len(), noise.loading.unwrap_or_default());
+        let learnt = |u: &f32| noise.limit() * kernels::tanh(*u);
+        let loadings = u.map_or(constant, |u| u.iter().map(learnt).collect());
+        let rows = || loadings.chunks_exact(noise.size).zip(sigma);
+        let shifts = rows().flat_map(|(row, sigma)| row.iter().map(move |r| sigma * r)).collect();
+        let squares = |row: &[f32]| row.iter().map(|r| r * r).sum::<f32>();
+        let deviations = rows().map(|(row, sigma)| sigma * (1.0 - squares(row)).sqrt()).collect();
+        Self { noise, loadings, shifts, deviations }
+    }
+
+    /// Adds `sigma r z` to the means `[act]` of the step whose action has the key `action`.
+    pub(crate) fn shift(&self, seed: RunSeed, action: Draw, means: &mut [f32]) {
+        let signal = self.noise.signal(seed, action);
+        for (mean, row) in means.iter_mut().zip(self.shifts.chunks_exact(signal.len())) {
+            *mean += row.iter().zip(&signal).map(|(shift, z)| shift * z).sum::<f32>();
+        }
+    }
+
+    /// Mean norm of the rows of loadings.
+    pub(crate) fn mean_loading(&self) -> f64 {
+        let rows = self.loadings.chunks_exact(self.noise.size);
+        let norm = |row: &[f32]| row.iter().map(|&r| f64::from(r) * f64::from(r)).sum::<f64>();
+        rows.map(|row| norm(row).sqrt()).sum::<f64>() / self.deviations.len() as f64
+    }
+}
+
+impl Draw {
+    /// The key of the signal that the agents share in the step of this key of an action. It is the same for `hold` steps.
+    fn of_signal(self, hold: u32) -> Self {
+        let purpose = match self.purpose {
+            Purpose::ServedAction => Purpose::ServedSignal,
+            _ => Purpose::Signal,
+        };
+        Self { purpose, agent: 0, step: self.step - self.step % hold, ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SEED: RunSeed = RunSeed(4);
+
+    fn noise(size: usize, hold: u32, loading: Option<f32>) -> SharedNoise {
+        SharedNoise { size, hold, loading }
+    }
+
+    #[test]
+    fn all_agents_share_a_signal_which_stays_for_the_steps_of_its_hold() {
+        let of = |hold, step, agent| {
+            noise(2, hold, None).signal(SEED, Draw::of_action(3, 1, step, agent))
+        };
+        assert_eq!(of(1, 7, 0), of(1, 7, 5));
+        assert_ne!(of(1, 7, 0), of(1, 8, 0));
+        assert_eq!((of(5, 5, 0), of(5, 9, 1)), (of(5, 7, 0), of(5, 7, 0)));
+        assert_ne!(of(5, 9, 0), of(5, 10, 0));
+        let key = Draw::of_action(3, 1, 7, 0);
+        let served = Draw::of_served_action((3, 1), 7, 0);
+        for other in [key.environment(2), key.iteration(4), served] {
+            assert_ne!(noise(2, 1, None).signal(SEED, other), of(1, 7, 0));
+        }
+    }
+
+    #[test]
+    fn given_the_signal_means_shift_by_sigma_r_z_and_the_rest_of_the_variance_stays() {
+        // tanh(0.549306) = 1/2, so r = 0.475; sigma sqrt(1 - 0.475^2) = 0.4 x 0.87999
+        let given = GivenSignal::new(noise(1, 1, None), &[0.4, 0.2], Some(&[0.549_306, 0.0]));
+        assert!((given.deviations[0] - 0.351_994).abs() < 1e-5, "{:?}", given.deviations);
+        assert_eq!(given.deviations[1], 0.2);
+        let key = Draw::of_action(0, 0, 0, 0);
+        let z = noise(1, 1, None).signal(SEED, key)[0];
+        let mut means = [1.0, 2.0];
+        given.shift(SEED, key, &mut means);
+        assert!((means[0] - (1.0 + 0.4 * 0.475 * z)).abs() < 1e-6 && means[1] == 2.0, "{means:?}");
+        assert!((given.mean_loading() - 0.237_5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_constant_loading_is_the_norm_of_every_row_and_signals_take_turns() {
+        let given = GivenSignal::new(noise(2, 1, Some(0.6)), &[0.5; 3], None);
+        assert_eq!(given.loadings, [0.6, 0.0, 0.0, 0.6, 0.6, 0.0]);
+        assert!(given.deviations.iter().all(|deviation| (deviation - 0.4).abs() < 1e-6));
+        assert!((given.mean_loading() - 0.6).abs() < 1e-6);
+    }
+
+    #[test]
+    fn tensors_of_loadings_are_those_of_an_actor_and_no_row_exceeds_the_limit() {
+        for (size, u) in [(1, vec![0.3, -9.0]), (2, vec![0.3, -0.1, 9.0, 9.0])] {
+            let noise = noise(size, 1, None);
+            let own = Tensor::from_vec(u.clone(), (2, size), &Device::Cpu).unwrap();
+            let trained = noise.loadings(Some(&own), 2).unwrap().flatten_all().unwrap();
+            let acting = GivenSignal::new(noise, &[0.5; 2], Some(&u)).loadings;
+            let trained = trained.to_vec1::<f32>().unwrap();
+            assert!(trained.iter().zip(&acting).all(|(a, b)| (a - b).abs() < 1e-6), "{trained:?}");
+            let squares = |row: &[f32]| row.iter().map(|r| r * r).sum::<f32>();
+            assert!(acting.chunks_exact(size).all(|row| squares(row).sqrt() < 0.950_001));
+        }
+    }
+}
