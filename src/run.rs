@@ -210,9 +210,11 @@ fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Dige
 }
 
 /// The command that begins a run with the settings of the one in `folder`: with those that differ from its task's, preset's
-/// and algorithm's, or for a task of the user's own, whose file may have changed, with the run's own file.
+/// and algorithm's, or for a task of the user's own, whose file may have changed, with the run's own file. Policies from which
+/// the run started are those that the folder keeps.
 pub(crate) fn command(config: &RunConfig, folder: &Path) -> String {
-    let resolved = &config.resolved;
+    let mut resolved = config.resolved.clone();
+    start::take_kept(&mut resolved, folder);
     let task = resolved.text("task");
     let [preset, algorithm] =
         ["preset", "algorithm"].map(|key| format!("{key}={}", resolved.text(key)));
@@ -224,7 +226,7 @@ pub(crate) fn command(config: &RunConfig, folder: &Path) -> String {
     for (key, entry) in &resolved.entries {
         let value = &entry.value;
         let differs = match key.as_str() {
-            "task" | "run.dir" => false,
+            "task" | "run.dir" | keys::START_SHA256 => false,
             "preset" | "algorithm" => layers::default_of(key).is_ok_and(|usual| usual != value),
             _ => usual.entries.get(key).is_none_or(|usual| usual.value != *value),
         };

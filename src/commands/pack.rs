@@ -7,7 +7,7 @@ use clap::Args;
 use learner::store::plain_file;
 use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, START_POLICIES, STARTS};
 
-use crate::config::keys::URL;
+use crate::config::keys::{START_SHA256, URL};
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart;
@@ -59,9 +59,11 @@ fn write(recorded: &Recorded, pack: &Path) -> anyhow::Result<()> {
         let loaded = recorded.checkpoint(*iteration)?;
         loaded.copy_to(pack, &packed(recorded.settings_after(*iteration)?))?;
     }
-    target::file(&pack.join(CONFIG), packed(recorded.settings_after(0)?).as_bytes())?;
-    let kept = [START_POLICIES].into_iter().filter(|name| recorded.folder.join(name).exists());
-    for name in kept.chain([STARTS, METRICS, PROVENANCE, MANIFEST]) {
+    let settings = recorded.settings_after(0)?;
+    let has_start = !settings.resolved.text(START_SHA256).is_empty();
+    target::file(&pack.join(CONFIG), packed(settings).as_bytes())?;
+    let kept = has_start.then_some(START_POLICIES);
+    for name in kept.into_iter().chain([STARTS, METRICS, PROVENANCE, MANIFEST]) {
         let file = recorded.folder.join(name);
         let bytes = plain_file::read(&file);
         let bytes = bytes.with_context(|| format!("cannot read {}", file.display()))?;

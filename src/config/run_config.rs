@@ -104,7 +104,10 @@ impl RunConfig {
     /// are read.
     pub(crate) fn of(request: &Request) -> Result<Self, ConfigError> {
         let mut config = Self::build(layers::resolve(request)?)?;
-        if request.resumed.is_none() || config.resolved.is_given(keys::START) {
+        let has = |key: &str| config.resolved.entries.contains_key(key);
+        // A resume may name policies although the run has none.
+        let is_identified = has(keys::START) == has(keys::START_SHA256);
+        if request.resumed.is_none() || config.resolved.is_given(keys::START) || !is_identified {
             start::identify(&mut config.resolved)?;
         }
         Ok(config)

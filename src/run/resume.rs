@@ -6,6 +6,7 @@ use std::path::Path;
 use learner::store::run_folder::{MANIFEST, RunFolder};
 use proto::Digest;
 
+use crate::config::keys::{START, START_SHA256};
 use crate::config::message_steps::MESSAGE;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
@@ -37,6 +38,8 @@ pub(crate) fn check(old: &RunConfig, new: &RunConfig) -> Result<(), ConfigError>
         }
         if value(new, key) != value(old, key) {
             let allowed = if keys::is_length(key) { DECAYS.to_owned() } else { may_change() };
+            let names_others = value(new, START) != value(old, START);
+            let key = if key == START_SHA256 && names_others { START } else { key };
             let values = (old.resolved.shown(key), new.resolved.shown(key));
             return Err(fixed(new, key, values, &allowed));
         }
@@ -57,7 +60,10 @@ fn fixed(
 ) -> ConfigError {
     let detail =
         format!("`{key}` cannot change on resume: the run has {old}, found {new}; {allowed}");
-    ConfigError::at(config.resolved.origin(key), detail)
+    match config.resolved.entries.get(key) {
+        Some(entry) => ConfigError::at(&entry.origin, detail),
+        None => ConfigError::Other(detail),
+    }
 }
 
 /// Length of a run in iterations, with `run.env_steps` if that setting determines it.

@@ -86,7 +86,7 @@ fn named_policies(resolved: &Resolved) -> Result<Found, ConfigError> {
 /// The policies of a file, a run, `RUN:CHECKPOINT`, a checkpoint or a team that comes with the program.
 fn found(named: &str) -> anyhow::Result<Found> {
     let mut path = shell::expanded(Path::new(named))?;
-    if path.is_file() {
+    if path.is_file() || path.ends_with(START_POLICIES) {
         return Ok(Found { bytes: of_file(&path)?, norm: None });
     }
     let mut checkpoint = None;
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
     use crate::config::Request;
     use crate::config::run_config::RunConfig;
-    use crate::run::pretrained;
+    use crate::run::{command, pretrained, resume};
 
     const TASK: &str = "halfcheetah-2x3";
 
@@ -143,6 +143,13 @@ mod tests {
 
     fn sha256(config: &RunConfig) -> String {
         policy::arrays::hex(&config.resolved.sha256())
+    }
+
+    /// The settings of a run whose own are in `file`, resumed with these.
+    fn resumed(file: &Path, settings: &[&str]) -> Result<RunConfig, ConfigError> {
+        let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
+        let resumed = Some(file.to_path_buf());
+        RunConfig::of(&Request { resumed, settings, ..Request::default() })
     }
 
     #[test]
@@ -171,6 +178,7 @@ mod tests {
         for (settings, words) in [
             (&["policy.start=halfcheetah-2x2"][..], "did you mean `halfcheetah-2x3`?"),
             (&["policy.start=no/such/run"], "command line: policy.start: "),
+            (&["policy.start=run/start_policies.safetensors"], "cannot read run/start_policies"),
             (&["policy.start=halfcheetah-2x3:best"], "has no checkpoints to choose from"),
             (
                 &["policy.start=halfcheetah-2x3", "observation.norm=none"],
@@ -194,19 +202,47 @@ mod tests {
         let text = config(&["policy.start=halfcheetah-2x3"]).unwrap().resolved.to_toml();
         std::fs::write(&file, text.replace("\"halfcheetah-2x3\"\nstart_", "\"gone\"\nstart_"))
             .unwrap();
-        let resumed = |settings: &[&str]| {
-            let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
-            let request = Request { resumed: Some(file.clone()), settings, ..Request::default() };
-            RunConfig::of(&request).map(|config| config.resolved)
-        };
-        let own = resumed(&[]).unwrap();
+        let own = resumed(&file, &[]).unwrap().resolved;
         assert_eq!(own.text(START), "gone");
         for named in ["policy.start=gone", "policy.start=halfcheetah-2x3"] {
-            let again = resumed(&[named]).unwrap();
+            let again = resumed(&file, &[named]).unwrap().resolved;
             assert_eq!(again.text(START_SHA256), own.text(START_SHA256), "{named}");
         }
-        assert!(resumed(&["policy.start=gone-too"]).is_err());
+        assert!(resumed(&file, &["policy.start=gone-too"]).is_err());
         let new = Request { files: vec![file.clone()], ..Request::default() };
         assert!(RunConfig::of(&new).is_err(), "a new run reads them");
+    }
+    #[test]
+    fn a_resume_neither_adds_nor_removes_policies_from_which_the_run_started() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("config.toml");
+        let team = "policy.start=halfcheetah-2x3";
+        for (old, new, line) in [
+            (
+                &[][..],
+                team,
+                "command line: `policy.start` cannot change on resume: the run has none, found \"halfcheetah-2x3\"; ",
+            ),
+            (
+                &[team],
+                "policy.start=",
+                "`policy.start` cannot change on resume: the run has \"halfcheetah-2x3\", found none; ",
+            ),
+        ] {
+            let old = config(old).unwrap();
+            std::fs::write(&file, old.resolved.to_toml()).unwrap();
+            let refused = resume::check(&old, &resumed(&file, &[new]).unwrap());
+            let refused = refused.unwrap_err().to_string();
+            assert!(refused.starts_with(line), "{refused}");
+        }
+    }
+
+    #[test]
+    fn the_command_that_trains_such_a_run_again_names_the_copy_of_its_policies() {
+        let run = config(&["policy.start=halfcheetah-2x3"]).unwrap();
+        assert_eq!(
+            command(&run, Path::new("runs/first")),
+            "s2mia train halfcheetah-2x3 policy.start=runs/first/start_policies.safetensors"
+        );
     }
 }

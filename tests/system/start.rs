@@ -5,7 +5,8 @@ use std::fs;
 use proto::Digest;
 
 use crate::runs::{
-    Runs, command, failure, inspect, metrics, refused, succeeded, success, text, tiny, train,
+    Runs, command, failed, failure, inspect, metrics, refused, succeeded, success, text, tiny,
+    train,
 };
 use crate::teams::TASK;
 
@@ -49,7 +50,10 @@ fn a_run_that_started_from_another_ends_with_the_same_bits_and_does_not_need_the
     success(&mut command(&["train", &config, &folder, &kept]));
     assert_eq!(inspect(&again), inspect(&whole));
     let line = refused(&["train", "--resume", text(&again), "policy.start=halfcheetah-2x3"]);
-    assert!(line.contains("`policy.start_sha256` cannot change on resume"), "{line}");
+    assert!(line.contains("`policy.start` cannot change on resume"), "{line}");
+    fs::remove_file(whole.join("start_policies.safetensors")).unwrap();
+    let line = failed(&["pack", text(&whole), "--out", text(&runs.folder("damaged"))], 1);
+    assert!(line.contains("/whole/start_policies.safetensors: "), "{line}");
 }
 
 #[test]
