@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
+use learner::store::checkpoint;
 use policy::arrays::{Array, ArrayError, NamedArrays, to_safetensors};
 use policy::{ActorPolicy, DrawKey, PolicySnapshot};
 use proto::{ActionChoice, AgentSpec, EnvironmentSpec};
@@ -14,6 +15,7 @@ use rollout::StepEvent;
 use serde_json::json;
 use sim::{EnvironmentBatch, SimError};
 
+use crate::errors::Usage;
 use crate::figures::chart;
 use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
@@ -41,6 +43,7 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let run = arguments.of.path()?;
     let trained = stored::trained(&run)?;
     let mut hosted = trained.environment()?;
+    demand_no_checkpoint(&arguments.onnx)?;
     target::option_folder("--onnx", &arguments.onnx)?;
     let existing = arguments.force.existing();
     let files = export((&arguments.onnx, existing), &trained, hosted.environment.as_mut())?;
@@ -54,6 +57,15 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
         output::line(format!("{}: {holds}", arguments.onnx.join(name).display()));
     }
     Ok(())
+}
+
+/// Refuses the folder of a checkpoint, whose own policies an export would replace.
+fn demand_no_checkpoint(folder: &Path) -> Result<(), Usage> {
+    if !checkpoint::is_checkpoint(folder) {
+        return Ok(());
+    }
+    let why = "is a checkpoint, whose policies an export would replace; name another folder";
+    Err(Usage::new(format!("--onnx {}: {why}", folder.display())))
 }
 
 /// Writes `agent_I.onnx` for every agent, `policy.safetensors` and `episode.safetensors` into `folder`. Returns the
@@ -203,5 +215,23 @@ impl ComparedEpisode {
             }
         }
         to_safetensors(&arrays, &BTreeMap::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_export_never_replaces_the_policies_of_a_checkpoint() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoint = folder.path().join("checkpoints/iter_00000004");
+        std::fs::create_dir_all(&checkpoint).unwrap();
+        assert_eq!(demand_no_checkpoint(folder.path()).map_err(|why| why.to_string()), Ok(()));
+        for name in ["policy.safetensors", "manifest.json"] {
+            std::fs::write(checkpoint.join(name), "").unwrap();
+        }
+        let refused = demand_no_checkpoint(&checkpoint).unwrap_err().to_string();
+        assert!(refused.ends_with("would replace; name another folder"), "{refused}");
     }
 }
