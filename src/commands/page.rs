@@ -1,6 +1,6 @@
 //! `s2mia page`: the web page of runs, finished or growing, from nothing but their folders.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,6 +19,7 @@ use rollout::FilmRecorder;
 
 use crate::commands::film;
 use crate::endpoints::PageAccess;
+use crate::errors::Usage;
 use crate::figures::learning_curve;
 use crate::process::runtime;
 use crate::run::chosen::{self, Which};
@@ -58,6 +59,7 @@ pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
         if arguments.runs.is_empty() { run_path::all_runs()? } else { arguments.runs.clone() };
     folders.iter().try_for_each(|folder| run_path::demand_run(folder))?;
     let folders: Vec<_> = folders.iter().map(|folder| RunFolder::of(folder)).collect();
+    demand_distinct(&folders)?;
     let stored = StoredRuns {
         followed: Mutex::new(Followed::of(&folders)),
         folders,
@@ -69,6 +71,18 @@ pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
         learner::serve::page::serve(page, Arc::new(stored)).await;
         Ok(())
     })
+}
+
+/// Refuses a folder that is named twice: curves and legend are known by their run's name.
+fn demand_distinct(folders: &[PathBuf]) -> Result<(), Usage> {
+    let mut known = BTreeSet::new();
+    match folders.iter().find(|folder| !known.insert(*folder)) {
+        None => Ok(()),
+        Some(twice) => {
+            let why = "is named twice; name each run once";
+            Err(Usage::new(format!("{} {why}", twice.display())))
+        }
+    }
 }
 
 /// The runs in folders.
@@ -306,6 +320,14 @@ mod tests {
         let folders = |all: &[&str]| all.iter().map(PathBuf::from).collect::<Vec<_>>();
         assert_eq!(names(&folders(&["a/x", "a/y"])), ["x", "y"]);
         assert_eq!(names(&folders(&["a/x", "b/x"])), ["a/x", "b/x"]);
+    }
+
+    #[test]
+    fn a_folder_that_is_named_twice_is_refused() {
+        let folders = |all: &[&str]| all.iter().map(PathBuf::from).collect::<Vec<_>>();
+        assert!(demand_distinct(&folders(&["a/x", "b/x"])).is_ok());
+        let refused = demand_distinct(&folders(&["a/x", "b/x", "a/x/"])).unwrap_err();
+        assert_eq!(refused.to_string(), "a/x/ is named twice; name each run once");
     }
 
     fn in_no_group(folder: &Path) -> FollowedRun {

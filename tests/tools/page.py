@@ -97,6 +97,8 @@ def finished(page: Tab, folder: pathlib.Path, pictures: pathlib.Path | None) -> 
         page.look("light", *SIZES["wide"])
         page.wait_until(f"{EPISODE}.includes(', episode 1: return ') && document.getElementById('play').textContent === 'play'")
         page.wait_until(f"{PICTURE} === {json.dumps(paused)}")
+        page.show(f"{url}/#episode=99999999999")
+        page.wait_until(f"{EPISODE}.includes(', episode 999: return ')")
         metrics_and_settings(page, url, folder)
     demand_no_complaints(page, "a finished run")
 
@@ -140,6 +142,8 @@ def several(page: Tab, place: pathlib.Path, pictures: pathlib.Path | None) -> No
         page.show(f"{url}/#tab=metrics&filter=actors")
         page.wait_until(f"document.querySelector('[id=\"group Time and health\"] .constants')?.textContent === 'constant: actors 2'")
         page.wait_until(f"{FIGURES} === ''")
+        page.show(f"{url}/#tab=metrics&filter=reward")
+        page.wait_until("document.querySelector('[id=\"group Reward terms\"] .constants')?.textContent === 'constant: reward/alive 1'")
     demand_no_complaints(page, "several runs")
 
 
@@ -190,7 +194,7 @@ def add_evaluations(folder: pathlib.Path, positions: range, seed: int) -> None:
     with (folder / "metrics.jsonl").open("a") as file:
         for k in positions:
             step = {"iteration": k, "env_steps": 1000 * k}
-            file.write(json.dumps({"kind": "iteration", **step, "actors": 2, "agent0/loss": 1 / (1 + k + seed)}) + "\n")
+            file.write(json.dumps({"kind": "iteration", **step, "actors": 2, "reward/alive": 1, "agent0/loss": 1 / (1 + k + seed)}) + "\n")
             file.write(json.dumps({"kind": "evaluation", **step, "mean": seed * k}) + "\n")
 
 

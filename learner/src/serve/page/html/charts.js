@@ -4,7 +4,8 @@ const WIDTH = 330, HEIGHT = 178, LEFT = 46, RIGHT = 10, TOP = 8, BOTTOM = 32;
 
 /// Groups of metrics in their order; the first that takes a metric keeps it.
 const GROUPS = [
-  ["Return", /^(evaluation return$|training return$|reward)/],
+  ["Return", /^(evaluation|training) return$/],
+  ["Reward terms", /^reward/],
   ["Surprise", /^surprise/],
   ["Influence", /^(influence|mi_|posterior|policy_nll)/],
   ["Time and health", /(_secs$|_per_sec$|^seconds|actors|refused|reissued|faults|failed|skipped)/],

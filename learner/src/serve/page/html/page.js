@@ -201,7 +201,7 @@ async function lookAtFilm() {
   const run = chosen(), found = iteration(run);
   if (found === undefined) return filmed(null, "no episode yet", null);
   if (view.tab !== "overview") return;
-  const index = run.episodes < 2 ? 0 : Math.max(0, Math.floor(Number(view.episode)) || 0);
+  const index = Math.max(0, Math.min(run.episodes - 1, Math.floor(Number(view.episode)) || 0));
   const path = `/api/film/${runs.indexOf(run)}/${found}/${index}`;
   if (path === filmOf) return;
   byId("filmed").textContent = "the episode is being played";
