@@ -15,7 +15,7 @@ const GRU: Condition = Is("policy.core", &["gru"]);
 const MLP: Condition = Is("policy.core", &["mlp"]);
 /// The estimator with a posterior that is trained.
 const LEARNT: Condition = Is("influence.estimator", &["variational_kl"]);
-/// Rules whose networks have layer norms, and that clip gradients.
+/// Rules whose networks have layer norms.
 const LAYER_NORMS: Condition = Is("update.rule", &["happo", "mappo", "maddpg"]);
 /// The estimators with a posterior, whose term is a divergence.
 const ESTIMATED: Condition = Is("influence.estimator", &["variational_kl", "count"]);
@@ -35,15 +35,7 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["observation.contact_forces"], &[Environment(Contacts)]),
     (&["policy.encoder", "policy.hidden"], &[GRU]),
     (&["policy.width", "policy.layers"], &[MLP]),
-    (
-        &[
-            "policy.input_norm",
-            "policy.head_gain",
-            "update.max_gradient_norm",
-            "critic.max_gradient_norm",
-        ],
-        &[LAYER_NORMS],
-    ),
+    (&["policy.input_norm", "policy.head_gain"], &[LAYER_NORMS]),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
     (&["policy.noise"], &[ON_POLICY, Environment(Several), Environment(Continuous)]),
     (&["policy.noise_loading", "policy.noise_size", "policy.noise_hold"], &[SHARED_NOISE]),
@@ -182,6 +174,7 @@ mod tests {
         "critic.core",
         "critic.layers",
         "critic.learning_rate",
+        "critic.max_gradient_norm",
         "critic.state_norm",
         "critic.width",
         "environment_service.url",
@@ -212,6 +205,7 @@ mod tests {
         "update.gamma",
         "update.learning_rate",
         "update.learning_rate_decay",
+        "update.max_gradient_norm",
         "update.rule",
     ];
 

@@ -259,6 +259,7 @@ mod tests {
             &["cue-2x1", "influence.estimator=count"][..],
             &["influence.q_training=shared"],
             &["influence.posterior_sigma_floor=0.5"],
+            &["algorithm=hasac", "update.max_gradient_norm=10", "critic.max_gradient_norm=10"],
             &["environment_service.url=http://localhost:7", "observation.norm=running"],
         ] {
             assert!(RunConfig::with(settings).is_ok(), "{settings:?}");

@@ -57,7 +57,8 @@ class Learner:
         )
         self.critic_optimisers = [optimiser(critic, "critic") for critic in self.critics]
         self.optimisers = [optimiser(actor, "update") for actor in self.actors]
-        self.temperature_optimisers = [optimiser(own, "update") for own in self.temperatures]
+        plain = lambda own: Optimiser(own, self.settings, "update", "update.max_gradient_norm")
+        self.temperature_optimisers = [plain(own) for own in self.temperatures]
         for network in self.actors + self.critics:
             network.eval()
 

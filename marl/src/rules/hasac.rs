@@ -171,17 +171,18 @@ impl Hasac {
         ] {
             report.push((format!("losses/{name}"), value));
         }
-        let share = 1.0 / sums.policy_steps.max(1) as f64;
+        let share = 1.0 / sums.policy_steps as f64;
+        let mean = |sum: f64| (sums.policy_steps > 0).then(|| share * sum);
         for (index, (agent, sum)) in self.agents.iter().zip(&sums.policies).enumerate() {
             for (name, value) in [
-                ("policy_loss", share * sum.policy_loss),
-                ("action_value", share * sum.action_value),
-                ("entropy", share * sum.entropy),
-                ("temperature", agent.temperature()?),
-                ("gradient_norm", share * sum.gradient_norm),
-                ("skipped_steps", agent.skipped() as f64),
+                ("policy_loss", mean(sum.policy_loss)),
+                ("action_value", mean(sum.action_value)),
+                ("entropy", mean(sum.entropy)),
+                ("temperature", Some(agent.temperature()?)),
+                ("gradient_norm", mean(sum.gradient_norm)),
+                ("skipped_steps", Some(agent.skipped() as f64)),
             ] {
-                report.push((format!("agent{index}/{name}"), value));
+                report.extend(value.map(|value| (format!("agent{index}/{name}"), value)));
             }
         }
         Ok(report)

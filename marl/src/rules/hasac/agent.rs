@@ -6,7 +6,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{ActorPolicy, Head, PolicyConfig};
 use rand::RngCore;
 
-use crate::config::{HasacConfig, TrainingConfig};
+use crate::config::{HasacConfig, TrainingConfig, UpdateConfig};
 use crate::data::batch::{AgentShape, Problem};
 use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
@@ -37,18 +37,6 @@ pub(super) struct PolicyMetrics {
     pub(super) gradient_norm: f64,
 }
 
-/// An optimiser with the first moment of HASAC.
-pub(super) fn adam(
-    (learning_rate, max_gradient_norm): (f64, f64),
-    config: &TrainingConfig,
-    own: &HasacConfig,
-    parameters: &Parameters,
-) -> Adam {
-    let epsilon = config.update.adam_epsilon;
-    let adam = AdamConfig { learning_rate, epsilon, max_gradient_norm };
-    Adam::new(adam, parameters).with_first_decay(own.first_moment)
-}
-
 impl HasacAgent {
     pub(super) fn new(
         (config, own): (&TrainingConfig, &HasacConfig),
@@ -60,9 +48,12 @@ impl HasacAgent {
         let shape = problem.agents[index].clone();
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(index as u32));
         let sizes = (shape.observation, policy.width, policy.layers, 2 * shape.action);
-        let limits = (config.update.learning_rate, config.update.max_gradient_norm);
-        let adam = |parameters: &Parameters| adam(limits, config, own, parameters);
-        let network = NormalisedNetwork::new(sizes, own.norm_momentum, adam, &mut rng)?;
+        let UpdateConfig { learning_rate, adam_epsilon, max_gradient_norm, .. } = config.update;
+        let adam = AdamConfig { learning_rate, epsilon: adam_epsilon, max_gradient_norm };
+        let of_network = |parameters: &Parameters| {
+            Adam::new(adam, parameters).with_first_decay(own.first_moment)
+        };
+        let network = NormalisedNetwork::new(sizes, own.norm_momentum, of_network, &mut rng)?;
         Ok(Self {
             index,
             config: policy.clone(),
@@ -157,15 +148,12 @@ struct Temperature {
 }
 
 impl Temperature {
-    fn new(
-        initial: f64,
-        actions: usize,
-        adam: impl FnOnce(&Parameters) -> Adam,
-    ) -> Result<Self, MarlError> {
+    fn new(initial: f64, actions: usize, adam: AdamConfig) -> Result<Self, MarlError> {
         let mut parameters = Parameters::new();
         let start = Tensor::full(libm::log(initial) as f32, 1, &Device::Cpu)?;
         parameters.add("log", start)?;
-        Ok(Self { adam: adam(&parameters), parameters, target: -(actions as f64) })
+        let adam = Adam::new(adam, &parameters);
+        Ok(Self { adam, parameters, target: -(actions as f64) })
     }
 
     fn value(&self) -> Result<f64, MarlError> {

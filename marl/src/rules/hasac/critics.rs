@@ -8,7 +8,7 @@ use crate::config::{HasacConfig, TrainingConfig};
 use crate::critic::StateScale;
 use crate::data::batch::Problem;
 use crate::error::MarlError;
-use crate::rules::hasac::agent::adam;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::rules::hasac::network::{FrozenNetwork, NormalisedNetwork};
 use crate::state::Visitor;
 
@@ -35,13 +35,18 @@ impl TwinCritics {
     ) -> Result<Self, MarlError> {
         let critic = &config.critic;
         let actions: usize = problem.agents.iter().map(|agent| agent.action).sum();
+        let adam = AdamConfig {
+            learning_rate: critic.learning_rate,
+            epsilon: config.update.adam_epsilon,
+            max_gradient_norm: critic.max_gradient_norm,
+        };
         let network = |twin: u32| {
             let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation).agent(twin));
             let sizes = (problem.state + actions, critic.width, critic.layers, 1);
-            let adam = |parameters: &Parameters| {
-                adam((critic.learning_rate, critic.max_gradient_norm), config, own, parameters)
+            let of_network = |parameters: &Parameters| {
+                Adam::new(adam, parameters).with_first_decay(own.first_moment)
             };
-            NormalisedNetwork::new(sizes, own.norm_momentum, adam, &mut rng)
+            NormalisedNetwork::new(sizes, own.norm_momentum, of_network, &mut rng)
         };
         Ok(Self {
             networks: (0..2).map(network).collect::<Result<_, _>>()?,

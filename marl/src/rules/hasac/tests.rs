@@ -131,3 +131,20 @@ fn the_temperature_leads_the_entropy_of_a_bandits_player_to_its_target() {
     let temperature = agent.temperature().unwrap();
     assert!((0.04..0.1).contains(&temperature), "{temperature}");
 }
+
+#[test]
+fn policies_without_an_optimiser_step_have_no_figures_of_one() {
+    let (config, policy) = configs();
+    let hasac = Hasac::new(&config, &policy, &problem(1), RunSeed(0)).unwrap();
+    let names = |policy_steps: u64| {
+        let (critics, policies) = (CriticMetrics::default(), vec![PolicyMetrics::default()]);
+        let report = hasac.report(1, &Sums { critics, policy_steps, policies }).unwrap();
+        let own = report
+            .into_iter()
+            .filter_map(|(name, _)| name.strip_prefix("agent0/").map(str::to_owned));
+        own.collect::<Vec<_>>()
+    };
+    assert_eq!(names(0), ["temperature", "skipped_steps"]);
+    let all = ["policy_loss", "action_value", "entropy", "temperature", "gradient_norm"];
+    assert_eq!(names(1), [&all[..], &["skipped_steps"]].concat());
+}
