@@ -151,6 +151,20 @@ fn distance_to_key(word: &str, key: &str) -> usize {
     }
 }
 
+/// Every value that is not a table, with its dotted path, and every empty table.
+pub(super) fn leaves(table: &toml::Table) -> Vec<(String, &Value)> {
+    let mut found = Vec::new();
+    for (key, value) in table {
+        match value {
+            Value::Table(inner) if !inner.is_empty() => {
+                found.extend(leaves(inner).into_iter().map(|(k, v)| (format!("{key}.{k}"), v)));
+            }
+            _ => found.push((key.clone(), value)),
+        }
+    }
+    found
+}
+
 /// A value in TOML notation.
 fn written(text: &str) -> Option<Value> {
     let mut table: toml::Table = format!("value = {text}").parse().ok()?;

@@ -51,6 +51,11 @@ static KNOWN: LazyLock<Values> = LazyLock::new(|| {
     own.chain(DEFAULTS.clone()).chain(OPTIONAL.clone()).collect()
 });
 
+/// Whether a run without `key` does what it does with this `value`.
+pub(super) fn is_usual(key: &str, value: &Value) -> bool {
+    OPTIONAL.get(key) == Some(value)
+}
+
 /// The names in [`KNOWN`].
 pub(super) fn names() -> impl Iterator<Item = &'static str> {
     KNOWN.keys().map(String::as_str)
@@ -66,7 +71,7 @@ fn own_section(algorithm: Preset) -> Values {
 /// The values in a text of the program.
 fn written_in(text: &str) -> Values {
     let table: Table = text.parse().expect("tests read every file of the program");
-    let values = leaves(&table).into_iter().filter(|(_, value)| !value.is_table());
+    let values = keys::leaves(&table).into_iter().filter(|(_, value)| !value.is_table());
     values.map(|(key, value)| (key, value.clone())).collect()
 }
 
@@ -322,7 +327,7 @@ fn table_layer(place: &str, text: &str) -> Result<SettingsLayer, ConfigError> {
 /// A table's values under their dotted keys, each of the default's kind.
 fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
     let mut values = BTreeMap::new();
-    for (key, value) in leaves(table) {
+    for (key, value) in keys::leaves(table) {
         if value.is_table() && first_inside(&key).is_some() {
             continue;
         }
@@ -388,20 +393,6 @@ fn parsed(place: &str, text: &str) -> Result<Table, ConfigError> {
         let (line, detail) = line_and_message(text, &error);
         ConfigError::at(format!("{place}:{line}"), detail)
     })
-}
-
-/// Every value that is not a table, with its dotted path, and every empty table.
-fn leaves(table: &Table) -> Vec<(String, &Value)> {
-    let mut found = Vec::new();
-    for (key, value) in table {
-        match value {
-            Value::Table(inner) if !inner.is_empty() => {
-                found.extend(leaves(inner).into_iter().map(|(k, v)| (format!("{key}.{k}"), v)));
-            }
-            _ => found.push((key.clone(), value)),
-        }
-    }
-    found
 }
 
 #[cfg(test)]

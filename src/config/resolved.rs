@@ -40,8 +40,8 @@ pub(crate) struct Entry {
 pub(crate) struct Resolved {
     /// Sorted by path.
     pub(crate) entries: BTreeMap<String, Entry>,
-    /// The keys that the user gave, each with the value that it would have otherwise.
-    pub(crate) given: BTreeMap<String, Value>,
+    /// The keys that the user gave, each with the value that it would have otherwise, if it would be there at all.
+    pub(crate) given: BTreeMap<String, Option<Value>>,
 }
 
 impl Resolved {
@@ -65,9 +65,9 @@ impl Resolved {
             return;
         }
         for (key, value) in &layer.values {
-            let below = self.entries.get(key).map_or(value, |entry| &entry.value).clone();
+            let below = self.entries.get(key).map(|entry| entry.value.clone());
             match layer.source {
-                Source::Repeated if below == *value => {
+                Source::Repeated if below.as_ref() == Some(value) => {
                     self.given.remove(key);
                 }
                 _ => {
@@ -79,6 +79,13 @@ impl Resolved {
         for key in off {
             self.given.remove(*key);
         }
+    }
+
+    /// Removes what the user gave and `is_usual` without it.
+    pub(super) fn remove_usual(&mut self, is_usual: impl Fn(&str, &Value) -> bool) {
+        let Self { entries, given } = self;
+        entries.retain(|key, entry| given.get(key) != Some(&None) || !is_usual(key, &entry.value));
+        given.retain(|key, _| entries.contains_key(key));
     }
 
     /// Whether the user gave `key`.
