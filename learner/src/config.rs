@@ -13,6 +13,9 @@ const SLOTS_PER_THREAD: usize = 2;
 /// Most environments of a slot that is cut to the actor threads: more share a message, but one failure loses them all.
 const MOST_PER_SLOT: usize = 10;
 
+/// Most episodes of an evaluation.
+pub const EPISODES_LIMIT: u32 = 10_000;
+
 /// The learner's settings besides the algorithm, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LearnerConfig {
@@ -130,7 +133,7 @@ impl LearnerConfig {
         self.lease.validate()?;
         self.audit.validate()?;
         if self.evaluation.every_steps > 0 {
-            between("evaluation.episodes", self.evaluation.episodes, 1, 10_000)?;
+            between("evaluation.episodes", self.evaluation.episodes, 1, EPISODES_LIMIT)?;
         }
         self.checkpoint.validate()?;
         between("learner.threads", self.learner.threads, 0, 1024)?;

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use actor::Transport;
 use anyhow::{Context as _, ensure};
+use learner::config::EPISODES_LIMIT;
 use learner::observe::event::Event;
 use learner::store::checkpoint::Loaded;
 use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder};
@@ -150,10 +151,12 @@ impl<'a> Verifier<'a> {
         for (iteration, line) in self.recorded.evaluations.range(part.start..=part.end) {
             // Earlier programs did not record it.
             let sampled = line["sampled"].as_bool().unwrap_or(usual.sampled);
-            let episodes = line["episodes"].as_u64().and_then(|count| u32::try_from(count).ok());
-            let episodes = episodes.with_context(|| {
+            let count = &line["episodes"];
+            let episodes = count.as_u64().and_then(|count| u32::try_from(count).ok());
+            let possible = episodes.filter(|count| (1..=EPISODES_LIMIT).contains(count));
+            let episodes = possible.with_context(|| {
                 format!(
-                    "the evaluation of iteration {iteration} in {METRICS} has no number of episodes"
+                    "the evaluation of iteration {iteration} in {METRICS} has {count} episodes, expected 1 to {EPISODES_LIMIT}"
                 )
             })?;
             kinds.entry(sampled).or_insert_with(BTreeMap::new).insert(*iteration, episodes);

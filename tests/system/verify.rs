@@ -192,7 +192,10 @@ fn an_invented_iteration_or_evaluation_is_found_in_one_line() {
     }
     let folder = copy(&run, runs.folder("other"));
     let first = |line: &Value| line["kind"] == "evaluation" && line["iteration"] == 0;
-    change(&folder.join("metrics.jsonl"), first, |line| line["kind"] = "other".into());
+    let lines = folder.join("metrics.jsonl");
+    change(&lines, first, |line| line["episodes"] = 0.into());
+    assert!(doubted(&folder, 6).contains("metrics.jsonl has 0 episodes, expected 1 to 10000"));
+    change(&lines, first, |line| line["kind"] = "other".into());
     assert!(doubted(&folder, 1).contains("metrics.jsonl has 1 lines of no known kind"));
 }
 
