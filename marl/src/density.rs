@@ -112,6 +112,8 @@ pub(crate) fn build(
     (seed, agent): (RunSeed, u32),
 ) -> Result<Box<dyn Density>, MarlError> {
     let moments = Moments::new(signal.to_vec());
+    // Without features every density is 1, and a network has no input.
+    let kind = if signal.is_empty() { DensityKind::DiagonalGaussian } else { kind };
     Ok(match kind {
         DensityKind::DiagonalGaussian => Box::new(diagonal_gaussian::DiagonalGaussian(moments)),
         DensityKind::Categorical => Box::new(categorical::CategoricalDensity::new(moments)),

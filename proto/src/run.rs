@@ -97,7 +97,10 @@ impl RunDescription {
         let rows = u64::from(self.chunk_steps).checked_mul(self.environments_per_slot.into())?;
         let stored = rows.div_ceil(self.hidden_every.into()).checked_mul(self.hidden())?;
         let total = rows.checked_mul(floats.checked_add(2)?)?.checked_add(stored)?;
-        total.checked_mul(4)?.checked_add(self.max_boundary_bytes()?)
+        let tensors = total.checked_mul(4)?.checked_add(self.max_boundary_bytes()?)?;
+        let terms = u64::from(self.environments_per_slot)
+            .checked_mul(8 * self.environment.reward_terms.len() as u64)?;
+        tensors.checked_add(terms)
     }
 
     /// Bytes of the states in a lease or at a slot's end.

@@ -166,3 +166,12 @@ fn constant_features_are_left_out_and_equal_rows_have_finite_scores() {
         }
     }
 }
+
+#[test]
+fn an_agent_without_features_has_the_density_1() {
+    for kind in KINDS {
+        let mut density = density(kind, 0);
+        assert_eq!(fit(density.as_mut(), &normals(6), 2, 0), [0.0; 3], "{kind:?}");
+        assert_eq!(density.omitted_constant(), 0.0, "{kind:?}");
+    }
+}

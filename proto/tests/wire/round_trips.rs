@@ -77,6 +77,14 @@ fn a_push_survives_the_round_trip() {
 }
 
 #[test]
+fn the_largest_message_has_a_sum_of_eight_bytes_for_each_reward_term_and_environment() {
+    let (run, mut more) = (sample::run(), sample::run());
+    more.environment.reward_terms.extend(["third", "fourth", "fifth"].map(str::to_owned));
+    let sums = 2 * 3 * 8;
+    assert_eq!(more.largest_message_bytes(), run.largest_message_bytes().map(|size| size + sums));
+}
+
+#[test]
 fn acknowledgements_and_signs_of_life_survive_the_round_trip() {
     let registered = Registered { actor: ActorId(5), incarnation: Incarnation(11) };
     assert_eq!(Registered::from_wire(&sent(&registered.to_wire())), registered);
