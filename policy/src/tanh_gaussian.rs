@@ -20,6 +20,12 @@ pub fn log_sigma(l: f64) -> f64 {
     -5.0 + 3.5 * (libm::tanh(l) + 1.0)
 }
 
+/// `sigma` of the network's output `l`.
+#[must_use]
+pub fn sigma(l: f32) -> f64 {
+    libm::exp(log_sigma(f64::from(l)))
+}
+
 /// The action of `u` in the range `low` to `high`.
 fn squashed(u: f64, (low, high): (f32, f32)) -> f32 {
     let (half, middle) = half_and_middle((low, high));
@@ -36,8 +42,7 @@ fn half_and_middle((low, high): (f32, f32)) -> (f64, f64) {
 pub(crate) fn draw(output: &[f32], range: (f32, f32), rng: &mut impl RngCore, action: &mut [f32]) {
     let (means, ls) = output.split_at(action.len());
     for ((action, &mean), &l) in action.iter_mut().zip(means).zip(ls) {
-        let sigma = libm::exp(log_sigma(f64::from(l)));
-        *action = squashed(f64::from(mean) + sigma * f64::from(standard_normal(rng)), range);
+        *action = squashed(f64::from(mean) + sigma(l) * f64::from(standard_normal(rng)), range);
     }
 }
 

@@ -2,13 +2,15 @@
 //! observations, from the stored recurrent states, and compares. Wrong weights or another order of observations show
 //! in the first step of the first chunk. Later steps and recurrent states are checked in a sample of the chunks.
 
-use policy::{ActorPolicy, Draw, PolicySnapshot, RunSeed, Scratch, generator};
+use policy::tanh_gaussian::sigma;
+use policy::{ActorPolicy, Draw, Head, PolicySnapshot, RunSeed, Scratch, generator};
 use proto::{AgentChunk, Reason, Refusal, RolloutOrigin, RunDescription, TrajectoryChunk};
 
 use crate::lease::slots::Trust;
 
 /// Largest difference between the actor's and the learner's log-probability (nats) or recurrent state.
-/// Another program's rounding stays well below it, another policy does not.
+/// Another program's rounding stays well below it, another policy does not. For standard deviations below 0.1, which only the
+/// outputs of a tanh-Gaussian have, that of a log-probability grows with their inverse.
 pub const TOLERANCE: f32 = 1e-3;
 
 /// Share of the chunks that are checked whole as long as no check has failed.
@@ -197,9 +199,11 @@ impl Replay<'_> {
         for e in 0..count {
             let at = time * count + e;
             let action = &self.rows.action[at * act..][..act];
-            let expected = self.policy.log_prob(&output[(first + e) * out..][..out], action);
+            let output = &output[(first + e) * out..][..out];
+            let expected = self.policy.log_prob(output, action);
             let found = self.rows.log_prob[at];
-            if differs(found, expected) {
+            let scale = sensitivity(self.policy.head(), &output[act.min(out)..]);
+            if differs(found / scale, expected / scale) {
                 let detail = format!(
                     "{found} at step {time} of environment {e}, the learner gets {expected}"
                 );
@@ -226,8 +230,29 @@ impl Replay<'_> {
     }
 }
 
+/// How much more than at a standard deviation of 0.1 a log-probability changes with the outputs `[out]` of a head whose standard
+/// deviations, `ls` `[act]`, may be smaller; at least 1.
+fn sensitivity(head: Head, ls: &[f32]) -> f32 {
+    let Head::TanhGaussian { .. } = head else { return 1.0 };
+    ls.iter().fold(1.0, |most, l| (0.1 / sigma(*l)).max(most)) as f32
+}
+
 /// NaN differs from everything.
 fn differs(found: f32, expected: f32) -> bool {
     let distance = (found - expected).abs();
     distance.is_nan() || distance > TOLERANCE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_probability_may_differ_more_the_smaller_a_standard_deviation_below_a_tenth_is() {
+        let head = Head::TanhGaussian { low: -1.0, high: 1.0 };
+        // tanh(-20) is -1: the deviation is exp(-5). At 0 it is exp(-1.5).
+        assert!((sensitivity(head, &[0.0, -20.0]) - 14.841_316).abs() < 1e-3);
+        assert_eq!(sensitivity(head, &[0.0, 20.0]), 1.0);
+        assert_eq!(sensitivity(Head::Gaussian, &[-20.0]), 1.0);
+    }
 }
