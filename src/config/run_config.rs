@@ -104,10 +104,7 @@ impl RunConfig {
     /// are read.
     pub(crate) fn of(request: &Request) -> Result<Self, ConfigError> {
         let mut config = Self::build(layers::resolve(request)?)?;
-        let has = |key: &str| config.resolved.entries.contains_key(key);
-        // A resume may name policies although the run has none.
-        let is_identified = has(keys::START) == has(keys::START_SHA256);
-        if request.resumed.is_none() || config.resolved.is_given(keys::START) || !is_identified {
+        if request.resumed.is_none() || config.resolved.is_given(keys::START) {
             start::identify(&mut config.resolved)?;
         }
         config.resolved.remove_usual(layers::is_usual);

@@ -26,7 +26,7 @@ struct Found {
     norm: Option<String>,
 }
 
-/// Sets the SHA-256 of the policies that the settings name. Without any, no SHA-256 remains.
+/// Sets the SHA-256 of the policies that the settings name. Without any, no setting of them remains.
 ///
 /// # Errors
 /// There are no such policies, they see other observations, or they are not those with the SHA-256 that the same file or command
@@ -38,7 +38,7 @@ pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
             let why = format!("`{START_SHA256}` has no effect in this run: it needs {START}");
             return Err(ConfigError::refused(resolved, &[START_SHA256], &why));
         }
-        resolved.entries.remove(START_SHA256);
+        resolved.entries.retain(|key, _| ![START, START_SHA256].contains(&key.as_str()));
         return Ok(());
     }
     let Found { bytes, norm } = named_policies(resolved)?;
@@ -212,6 +212,7 @@ mod tests {
         let new = Request { files: vec![file.clone()], ..Request::default() };
         assert!(RunConfig::of(&new).is_err(), "a new run reads them");
     }
+
     #[test]
     fn a_resume_neither_adds_nor_removes_policies_from_which_the_run_started() {
         let folder = tempfile::tempdir().unwrap();
