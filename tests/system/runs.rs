@@ -67,7 +67,7 @@ pub(crate) fn tiny(role: &str, folder: &Path, more: &[&str]) -> Command {
     if has("algorithm=maddpg") || has("algorithm=hasac") {
         without.extend(["policy.", "influence.", "update.epochs", "critic.epochs"]);
     }
-    if has("algorithm=mappo") {
+    if has("algorithm=mappo") || has("algorithm=happo-s2mia-exact") {
         without.push("influence.");
     }
     if has("policy.core=mlp") {
