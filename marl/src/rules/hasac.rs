@@ -172,7 +172,7 @@ impl Hasac {
             report.push((format!("losses/{name}"), value));
         }
         let share = 1.0 / sums.policy_steps as f64;
-        let mean = |sum: f64| (sums.policy_steps > 0).then(|| share * sum);
+        let mean = |sum: f64| (sums.policy_steps > 0).then_some(share * sum);
         for (index, (agent, sum)) in self.agents.iter().zip(&sums.policies).enumerate() {
             for (name, value) in [
                 ("policy_loss", mean(sum.policy_loss)),
