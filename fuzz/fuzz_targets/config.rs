@@ -42,11 +42,10 @@ mod process {
 /// Settings under test start from no policies: those would be read from the files of another run.
 mod run {
     pub(crate) mod start {
-        use crate::config::keys::{START, START_SHA256};
         use crate::config::{ConfigError, Resolved};
 
         pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
-            resolved.entries.retain(|key, _| ![START, START_SHA256].contains(&key.as_str()));
+            resolved.remove_start();
             Ok(())
         }
     }

@@ -81,6 +81,11 @@ impl Resolved {
         }
     }
 
+    /// Removes the keys of the policies from which a run starts.
+    pub(crate) fn remove_start(&mut self) {
+        self.entries.retain(|key, _| ![keys::START, keys::START_SHA256].contains(&key.as_str()));
+    }
+
     /// Removes what the user gave and `is_usual` without it.
     pub(super) fn remove_usual(&mut self, is_usual: impl Fn(&str, &Value) -> bool) {
         let Self { entries, given } = self;

@@ -137,9 +137,7 @@ impl RunConfig {
     /// Converts the settings to the crates' types.
     fn read(resolved: Resolved) -> Result<Self, ConfigError> {
         let mut sectioned = resolved.clone();
-        sectioned
-            .entries
-            .retain(|key, _| ![keys::START, keys::START_SHA256].contains(&key.as_str()));
+        sectioned.remove_start();
         let text = sectioned.to_toml();
         let sections: Sections = typed(&resolved, &text)?;
         let [file, model] =

@@ -38,7 +38,7 @@ pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
             let why = format!("`{START_SHA256}` has no effect in this run: it needs {START}");
             return Err(ConfigError::refused(resolved, &[START_SHA256], &why));
         }
-        resolved.entries.retain(|key, _| ![START, START_SHA256].contains(&key.as_str()));
+        resolved.remove_start();
         return Ok(());
     }
     let Found { bytes, norm } = named_policies(resolved)?;
