@@ -20,6 +20,13 @@ pub fn log_sigma(l: f64) -> f64 {
     -5.0 + 3.5 * (libm::tanh(l) + 1.0)
 }
 
+/// The derivative of [`log_sigma`] by `l`.
+#[must_use]
+pub fn log_sigma_slope(l: f64) -> f64 {
+    let tangent = libm::tanh(l);
+    3.5 * (1.0 - tangent * tangent)
+}
+
 /// `sigma` of the network's output `l`.
 #[must_use]
 pub fn sigma(l: f32) -> f64 {

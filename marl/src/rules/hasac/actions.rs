@@ -3,12 +3,10 @@
 //! `u = m + sigma eps`, `log sigma = -5 + 3.5 (tanh(l) + 1)`, action `middle + half tanh(u)`. Log-probabilities are those
 //! of `tanh(u)`, computed from `u`: in the loss, an action at a bound keeps its exact density.
 
-use policy::tanh_gaussian::{log_sigma, log_slope};
+use policy::tanh_gaussian::{log_sigma, log_sigma_slope, log_slope};
 
 /// `1/2 log 2 pi`.
 const HALF_LOG_TWO_PI: f64 = 0.918_938_533_204_672_7;
-/// `d log sigma / d tanh(l)`.
-const SIGMA_SLOPE: f64 = 3.5;
 
 /// Actions of `R` rows.
 #[derive(Clone, Debug, Default)]
@@ -56,8 +54,7 @@ impl DrawnActions {
                 let u = mean + reach;
                 let tangent = libm::tanh(u);
                 log_prob += -0.5 * noise * noise - log_sigma - HALF_LOG_TWO_PI - log_slope(u);
-                let flat = libm::tanh(l);
-                let slope = SIGMA_SLOPE * (1.0 - flat * flat);
+                let slope = log_sigma_slope(l);
                 drawn.action.push(((middle + half * tangent) as f32).clamp(low, high));
                 drawn.terms.push(Term { tangent, reach, slope });
             }
