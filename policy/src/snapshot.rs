@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 use crate::acting::{ActorPolicy, ActorSpec};
 use crate::arrays::{NamedArrays, from_safetensors, places, to_safetensors};
 use crate::error::PolicyError;
+use crate::randomness::{Draw, RunSeed};
 
 /// The metadata entry with the agents' specs as JSON.
 const SPEC_KEY: &str = "s2mia.policy";
@@ -38,6 +39,13 @@ impl PolicySnapshot {
             arrays.extend(own.map(|(name, array)| (format!("agent_{i}.{name}"), array.clone())));
         }
         Ok(to_safetensors(&arrays, &BTreeMap::from([(SPEC_KEY.to_owned(), json)]))?)
+    }
+
+    /// The signal `[K]` that all agents share in the step whose action has the key `action`; empty if they share none.
+    #[must_use]
+    pub fn signal(&self, seed: RunSeed, action: Draw) -> Vec<f32> {
+        let noise = self.agents.first().and_then(|agent| agent.head().shared_noise());
+        noise.map_or_else(Vec::new, |noise| noise.signal(seed, action))
     }
 
     /// Decodes [`PolicySnapshot::to_bytes`].

@@ -22,6 +22,8 @@ pub(crate) struct Agents {
     pub(crate) action: Vec<Vec<f32>>,
     /// Log-probabilities of each agent, `[E]`.
     pub(crate) log_prob: Vec<Vec<f32>>,
+    /// Signals that all agents share, `[E, K]`; empty if they share none.
+    signal: Vec<f32>,
     /// Joint actions, `[E, A]`, in agent order.
     pub(crate) joint: Vec<f32>,
     scratch: Scratch,
@@ -49,6 +51,7 @@ impl Agents {
             hidden: rows(ActorPolicy::hidden_size),
             output: rows(ActorPolicy::output_size),
             log_prob: rows(|_| 1),
+            signal: Vec::new(),
             joint: action.concat(),
             action,
             scratch: Scratch::default(),
@@ -77,17 +80,24 @@ impl Agents {
     /// Samples actions from the networks' distributions and computes their log-probabilities. Each draw has its own
     /// key. `indices` are the global indices of the environments, in the order of the rows.
     pub(crate) fn draw(&mut self, policy: &PolicySnapshot, indices: &[u32], context: DrawContext) {
+        let DrawContext { seed, iteration, step } = context;
+        let key = |environment: u32, agent: usize| {
+            Draw::of_action(iteration, environment, step, agent as u32)
+        };
+        self.signal.clear();
+        for &environment in indices {
+            self.signal.extend(policy.signal(seed, key(environment, 0)));
+        }
         for (agent, policy) in policy.agents.iter().enumerate() {
             let output = &mut self.output[agent];
             let action = &mut self.action[agent];
             for (place, &environment) in indices.iter().enumerate() {
-                let key =
-                    Draw::of_action(context.iteration, environment, context.step, agent as u32);
-                let mut rng = generator(context.seed, key);
+                let key = key(environment, agent);
+                let mut rng = generator(seed, key);
                 let own = row(output.len(), place, self.environments);
                 let output = &mut output[own];
                 let of_row = row(action.len(), place, self.environments);
-                policy.add_shared_noise(context.seed, key, output);
+                policy.add_shared_noise(seed, key, output);
                 policy.draw(output, &mut rng, &mut action[of_row.clone()]);
                 self.log_prob[agent][place] = policy.log_prob(output, &action[of_row]);
             }
@@ -98,6 +108,7 @@ impl Agents {
     /// same seed in its first episode.
     pub(crate) fn choose(&mut self, policy: &PolicySnapshot, choice: ActionChoice, step: u32) {
         let ActionChoice::Sampled { seed } = choice else { return self.select_modes(policy) };
+        self.signal = policy.signal(RunSeed(seed), Draw::of_served_action((0, 0), step, 0));
         for (agent, policy) in policy.agents.iter().enumerate() {
             let key = Draw::of_served_action((0, 0), step, agent as u32);
             let output = &mut self.output[agent];
@@ -145,6 +156,7 @@ impl Agents {
             hidden: &self.hidden,
             actions: &self.action,
             log_probs: None,
+            signal: &self.signal,
             outcomes,
         }
     }

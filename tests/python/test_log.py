@@ -15,9 +15,10 @@ AGENTS = 6
 
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory):
-    """Folder of a run that logged every episode."""
+    """Folder of a run, with noise that agents share, that logged every episode."""
     folder = tmp_path_factory.mktemp("runs") / "logged"
-    s2mia("train", *TINY, f"run.dir={folder}", "log.episodes=all")
+    noise = ["policy.noise=shared", "policy.noise_hold=4"]
+    s2mia("train", *TINY, *noise, f"run.dir={folder}", "log.episodes=all")
     return folder
 
 
@@ -78,6 +79,15 @@ def test_training_is_logged_step_by_step(shares):
     assert sum(len(steps) for _, steps in rollouts) == ITERATIONS * STEPS_PER_ITERATION
     assert {head.weights_version for head, _ in rollouts} == set(range(ITERATIONS))
     assert all(head.attempt == 0 and head.seed == 7 for head, _ in rollouts)
+
+
+def test_a_step_has_the_signal_of_all_agents_which_stays_for_its_hold(shares):
+    for head, steps, _ in shares:
+        signals = [tuple(step.signal) for _, step in steps]
+        # Mean actions have no noise.
+        held = [signal for signal in signals[::4] for _ in range(4)] if head.kind == 1 else [()] * len(steps)
+        assert signals == held
+        assert head.kind == 2 or ({len(signal) for signal in held}, len(set(held))) == ({1}, 5)
 
 
 def test_shares_of_an_episode_follow_one_another(shares):

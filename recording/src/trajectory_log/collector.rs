@@ -129,12 +129,13 @@ impl<'a> ShareCollector<'a> {
             let state = std::mem::take(state);
             let step = share.next_step();
             let reward_terms = played.world.reward_terms(environment).to_vec();
+            let signal = row(played, environment, played.signal);
             let robot = played.world.world(environment);
             share.steps.push(LoggedStep {
                 pose: std::mem::take(pose),
                 efforts: robot.map(|robot| robot.efforts().collect()).unwrap_or_default(),
                 agents: agents(played, environment),
-                step: Step { step, reward, terminated, truncated, state, reward_terms },
+                step: Step { step, reward, terminated, truncated, state, reward_terms, signal },
             });
             if played.outcomes[environment].is_end() {
                 share.end = end(played.world, environment, share.steps.len());
@@ -178,12 +179,15 @@ fn head(seed: RunSeed, weights: WeightsName, attempt: u32) -> Share {
     }
 }
 
+/// The row of an environment in `all` `[E, features]`.
+fn row(played: &PlayedStep<'_>, environment: usize, all: &[f32]) -> Vec<f32> {
+    let width = all.len() / played.outcomes.len();
+    all[environment * width..][..width].to_vec()
+}
+
 /// What each agent observed and did in an environment.
 fn agents(played: &PlayedStep<'_>, environment: usize) -> Vec<AgentStep> {
-    let row = |all: &[f32]| {
-        let width = all.len() / played.outcomes.len();
-        all[environment * width..][..width].to_vec()
-    };
+    let row = |all| row(played, environment, all);
     let agent = |agent: usize| AgentStep {
         observation: row(&played.observation[agent]),
         action: row(&played.actions[agent]),

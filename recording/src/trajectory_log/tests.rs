@@ -12,7 +12,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use policy::{Draw, DrawKey, Purpose, RunSeed};
+use policy::{Draw, DrawKey, PolicySnapshot, Purpose, RunSeed};
 use proto::{
     ActionChoice, Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId,
     PolicyVersion, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
@@ -45,10 +45,20 @@ fn lease(work: Work) -> Lease {
 
 /// Rolls out a slot and logs it to `handle`; stops after `most` chunks.
 fn roll(handle: &LogHandle, work: &RolloutWork, most: usize) -> Vec<TrajectoryChunk> {
+    roll_with(&policy(), handle, work, most)
+}
+
+/// As [`roll`], with other policies.
+fn roll_with(
+    policy: &PolicySnapshot,
+    handle: &LogHandle,
+    work: &RolloutWork,
+    most: usize,
+) -> Vec<TrajectoryChunk> {
     let mut collector = handle.rollout(&lease(Work::Rollout(work.clone())), work);
     let mut chunks = Vec::new();
     let observe = |event: StepEvent<'_>| collector.observe(&event);
-    rollout::roll_out(&run(), work, &policy(), &mut *world(), observe, |chunk| {
+    rollout::roll_out(&run(), work, policy, &mut *world(), observe, |chunk| {
         chunks.push(chunk);
         if chunks.len() == most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })

@@ -35,13 +35,23 @@ pub(crate) fn policy() -> PolicySnapshot {
 }
 
 pub(crate) fn policy_for(description: &proto::EnvironmentSpec) -> PolicySnapshot {
-    let config = PolicyConfig {
+    policy_of(&policy_config(), description)
+}
+
+pub(crate) fn policy_config() -> PolicyConfig {
+    PolicyConfig {
         encoder: 8,
         hidden: HIDDEN,
         width: 8,
         backpropagation_steps: HIDDEN_EVERY as usize,
         ..policy::probe::config(CoreKind::Gru)
-    };
+    }
+}
+
+pub(crate) fn policy_of(
+    config: &PolicyConfig,
+    description: &proto::EnvironmentSpec,
+) -> PolicySnapshot {
     let agent = |(index, shape): (usize, &proto::AgentSpec)| {
         let mut rng = generator(RunSeed(5), Draw::of(Purpose::Initialisation).agent(index as u32));
         let (observation, action) = (shape.observation.len(), shape.action.size);
@@ -49,7 +59,8 @@ pub(crate) fn policy_for(description: &proto::EnvironmentSpec) -> PolicySnapshot
             None => Head::Gaussian,
             Some(choices) => Head::Categorical { choices: choices as usize },
         };
-        let network = ActorNetwork::new(&config, observation, action, head, &mut rng).unwrap();
+        let head = config.with_noise(head);
+        let network = ActorNetwork::new(config, observation, action, head, &mut rng).unwrap();
         network.policy().unwrap()
     };
     PolicySnapshot { agents: description.agents.iter().enumerate().map(agent).collect() }

@@ -1,13 +1,14 @@
 //! Tests of a single complete log.
 
 use foxglove::messages::{FrameTransforms, JointStates};
+use policy::{Draw, Noise, PolicyConfig, RunSeed};
 use prost::Message as _;
 use proto::trajectory_log::Kind;
 use proto::{Episodes, EvaluationWork};
 
-use super::fixture::{ENVIRONMENTS, task};
+use super::fixture::{ENVIRONMENTS, policy_config, policy_of, task, world};
 use super::work::{fresh_work, run};
-use super::{WHOLE, evaluate, files, read, roll, slot_log, start};
+use super::{WHOLE, evaluate, files, read, roll, roll_with, slot_log, start};
 use crate::share::LoggedShare;
 use crate::trajectory_log::file::{LogFile, Origin};
 use crate::trajectory_log::source::{new_log, read_bytes};
@@ -45,6 +46,7 @@ fn a_share_contains_the_data_sent_to_the_learner() {
         let (chunk, row) = (&chunks[slot_step / 20], (slot_step % 20) * ENVIRONMENTS);
         assert_eq!(step.step.step as usize, index);
         assert_eq!(step.step.reward, chunk.reward[row]);
+        assert!(step.step.signal.is_empty(), "these agents share no noise");
         assert_eq!(step.step.state, chunk.state[row * 17..(row + 1) * 17]);
         for (agent, sent) in step.agents.iter().zip(&chunk.agents) {
             assert_eq!(agent.observation, sent.observation[row * 19..(row + 1) * 19]);
@@ -54,6 +56,33 @@ fn a_share_contains_the_data_sent_to_the_learner() {
     }
     let end = chunks[1].end.as_ref().unwrap();
     assert_eq!(last.end.environment_state, end.environments[0]);
+}
+
+#[test]
+fn a_step_of_agents_that_share_noise_has_the_signal_of_its_key() {
+    let noise = PolicyConfig {
+        noise: Some(Noise::Shared),
+        noise_size: Some(2),
+        noise_hold: Some(3),
+        ..policy_config()
+    };
+    let policy = policy_of(&noise, world().description());
+    let folder = tempfile::tempdir().unwrap();
+    let (log, handle) = start(folder.path(), "a", Episodes::All, 64);
+    roll_with(&policy, &handle, &fresh_work(), WHOLE);
+    log.close();
+    let shares = read(&files(folder.path())[0]).1;
+    let noise = policy.agents[1].head().shared_noise().unwrap();
+    // Environment and first step in the slot of each share.
+    for (share, (environment, first)) in shares.iter().zip([(6, 0), (7, 0), (6, 15)]) {
+        for (step, logged) in (first..).zip(&share.steps) {
+            let key = Draw::of_action(4, environment, step, 1);
+            assert_eq!(logged.step.signal, noise.signal(RunSeed(3), key), "step {step}");
+        }
+    }
+    let first = &shares[0].steps;
+    assert_eq!((first[0].step.signal.len(), &first[0].step.signal), (2, &first[2].step.signal));
+    assert_ne!(first[0].step.signal, first[3].step.signal);
 }
 
 #[test]
