@@ -257,6 +257,13 @@ impl Robot {
         [parts(&layout::QUATERNION), parts(&layout::TURNING)]
     }
 
+    /// Names of the joints in the order of [`World::efforts`](crate::World::efforts): hinges and slides, then the three axes of
+    /// each ball joint.
+    pub fn effort_names(&self) -> Vec<String> {
+        let hinges = self.hinges().map(|(name, _)| name.to_owned());
+        hinges.chain(self.balls().flat_map(|(name, _)| self.numbers_of(name)[1].clone())).collect()
+    }
+
     /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
     pub fn hinge_units(&self) -> impl Iterator<Item = [&'static str; 2]> {
         self.layout.hinges.iter().map(layout::HingeMap::units)

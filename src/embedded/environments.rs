@@ -8,7 +8,7 @@ use anyhow::{Context as _, ensure};
 use policy::RunSeed;
 use policy::setting::between;
 use proto::EnvironmentSpec;
-use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, SimError};
+use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, Robot, SimError};
 
 use crate::config::Request;
 use crate::config::message_steps::WINDOW;
@@ -54,6 +54,8 @@ struct Share {
     outcomes: Vec<Outcome>,
     /// Of all agents in their order, `[e, O]`.
     observations: Vec<f32>,
+    /// Of the last step, `[e, J]`; 0 after a reset.
+    efforts: Vec<f32>,
     /// Steps since the start or since a state was saved or restored, `[e]`.
     taken: Vec<u64>,
     /// Steps of a slot.
@@ -119,6 +121,11 @@ impl Environments {
         self.shares[0].world.control_ranges(agent)
     }
 
+    /// Names of the joints that have efforts, `[J]`; none of a game.
+    pub fn effort_names(&self) -> Vec<String> {
+        self.shares[0].world.robot().map(Robot::effort_names).unwrap_or_default()
+    }
+
     /// Starts the next episode of every environment or, with a seed, episode 0. `limits` are the steps until truncation, `[E]`;
     /// empty: those of the task.
     ///
@@ -173,6 +180,12 @@ impl Environments {
         let worlds = self.shares.iter().map(|share| &share.world);
         let each = worlds.flat_map(|world| (0..world.count()).map(move |index| (world, index)));
         each.flat_map(|(world, index)| world.reward_terms(index))
+    }
+
+    /// Mean torques of the actuators in the last step, `[E, J]` in the order of [`Self::effort_names`], N m, or forces on slides,
+    /// N. 0 after a fault and after a reset.
+    pub fn efforts(&self) -> impl Iterator<Item = &f32> {
+        self.shares.iter().flat_map(|share| &share.efforts)
     }
 
     /// Observations of all agents in their order, `[E, O]`.
@@ -289,8 +302,10 @@ impl Share {
         let agents = world.description().agents.iter();
         let features: usize = agents.map(|agent| agent.observation.len()).sum();
         let observations = vec![0.0; count * features];
+        let joints = world.robot().map_or(0, |robot| robot.effort_names().len());
+        let efforts = vec![0.0; count * joints];
         let (outcomes, taken) = (vec![Outcome::default(); count], vec![0; count]);
-        Self { first, world, outcomes, observations, taken, slot_steps }
+        Self { first, world, outcomes, observations, efforts, taken, slot_steps }
     }
 
     fn start(
@@ -313,8 +328,11 @@ impl Share {
             if ended {
                 let episode = self.world.position(position).episode + 1;
                 self.start(position, seed, episode, limit)?;
+                self.note_efforts(position);
                 continue;
             }
+            // A rebuild discards them.
+            self.note_efforts(position);
             self.taken[position] += 1;
             let is_slot_end = self.taken[position].is_multiple_of(self.slot_steps);
             if is_slot_end && !self.outcomes[position].is_end() {
@@ -324,6 +342,13 @@ impl Share {
         }
         self.observe();
         Ok(())
+    }
+
+    fn note_efforts(&mut self, position: usize) {
+        let Some(world) = self.world.world(position) else { return };
+        let joints = self.efforts.len() / self.world.count();
+        let own = &mut self.efforts[position * joints..][..joints];
+        own.iter_mut().zip(world.efforts()).for_each(|(own, effort)| *own = effort);
     }
 
     fn observe(&mut self) {

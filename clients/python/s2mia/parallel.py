@@ -47,7 +47,8 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
 
     Observations are not scaled; `task` names their features. Continuous actions are in units of half a range: -1 and 1 are the
     limits of an actuator. Every agent gets the reward of the team. `infos` have `reward_terms`, the terms that sum to the
-    reward, and `fault` after a step that left the bounds of the simulation, which truncates the episode.
+    reward, `efforts`, the mean torques of the actuators during the step by the names in `task.joints` (N m, or N on a slide), and
+    `fault` after a step that left the bounds of the simulation, which truncates the episode.
     """
 
     def __init__(self, simulator: Simulator, render_mode: str | None) -> None:

@@ -30,6 +30,8 @@ class TaskSpec:
     """Names of the global state's features, m, rad, m/s and rad/s."""
     reward_terms: list[str]
     """Names of the terms whose sum is the reward; empty for games."""
+    joints: list[str]
+    """Joints with efforts: hinges and slides, then the three axes of each ball joint; empty for games."""
     agents: list[AgentSpec]
 
 
@@ -50,8 +52,8 @@ class Simulator:
         seeded = {} if own is None else {"run__seed": own}
         self.num_envs = num_envs
         self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
-        name, dt_secs, episode_steps, state, terms, agents = self.native.task()
-        self.task = TaskSpec(name, dt_secs, episode_steps, state, terms, [AgentSpec(*agent) for agent in agents])
+        *about, agents = self.native.task()
+        self.task = TaskSpec(*about, [AgentSpec(*agent) for agent in agents])
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
@@ -129,10 +131,11 @@ class OneEnvironment:
         """Steps with the joint action `[A]`: observations `[O]`, reward, terminated, truncated and info."""
         if not self.is_running:
             raise ValueError("no episode is running; call reset()")
-        seen, reward, terms, terminated, truncated, fault = self.simulator.native.step(joint.tobytes())
+        seen, reward, terms, efforts, terminated, truncated, fault = self.simulator.native.step(joint.tobytes())
         self.is_running = not (terminated[0] or truncated[0])
         observations = np.frombuffer(seen, np.float32)
         info: dict[str, Any] = {"fault": True} if fault[0] else {}
-        if names := self.task.reward_terms:
-            info["reward_terms"] = dict(zip(names, np.frombuffer(terms, np.float32).tolist(), strict=True))
+        if self.task.joints:
+            info["reward_terms"] = dict(zip(self.task.reward_terms, np.frombuffer(terms, np.float32).tolist(), strict=True))
+            info["efforts"] = dict(zip(self.task.joints, np.frombuffer(efforts, np.float32).tolist(), strict=True))
         return observations, _REWARD.unpack(reward)[0], bool(terminated[0]), bool(truncated[0]), info

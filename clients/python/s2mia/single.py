@@ -60,7 +60,7 @@ class SingleSimulator(OneEnvironment, Env[Numbers, Any]):
         return self.state(), {}
 
     def step(self, action: Any) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
-        """Steps with the action `[A]`. `info` has `reward_terms`, and `fault` after a step that left the bounds of the simulation."""
+        """Steps with the action `[A]`. `info` is that of an agent of `s2mia.parallel_env`."""
         joint = numbers("the action", action)
         if joint.shape != self.action_space.shape:
             raise ValueError(f"the action has the shape {joint.shape}, not {self.action_space.shape}")

@@ -42,7 +42,9 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
     Observations are `[E, N, obs]`; actions are `[E, N, act]` from -1 to 1, or `[E, N]` indices of choices. If agents have
     different sizes, `obs` and `act` are the largest: further numbers of an observation are 0, those of an action are ignored.
     Rewards are those of the teams, `[E]`. An environment whose episode has ended starts the next one in the next step, with the
-    reward 0 (`AutoresetMode.NEXT_STEP`). `infos` have `fault` `[E]` after a step that left the bounds of the simulation.
+    reward 0 (`AutoresetMode.NEXT_STEP`). `infos` of a robot's steps have `reward_terms` and `efforts` by name, `[E]` each, with
+    masks `_reward_terms` and `_efforts` of the environments that did not start an episode, and `fault` `[E]` after a step that left
+    the bounds of the simulation.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -58,12 +60,15 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
         self.single_action_space = MultiDiscrete(choices) if choices else single
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        # Environments that the next step steps; the others start an episode.
+        self._running = np.ones(self.num_envs, np.bool_)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Numbers, dict[str, Any]]:
         """Starts the next episodes or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation, of
         all environments or of each, `[E]`."""
         self.simulator.reset(seed, options)
         super().reset(seed=None if seed is None else int(seed))
+        self._running = np.ones(self.num_envs, np.bool_)
         return self._observed(self.simulator.native.observations()), {}
 
     def step(self, actions: Any) -> tuple[Numbers, Numbers, Flags, Flags, dict[str, Any]]:
@@ -72,14 +77,32 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
         if joint.shape != self.action_space.shape:
             raise ValueError(f"the actions have the shape {joint.shape}, not {self.action_space.shape}")
         joint = self._numbers.joined(joint.reshape(self.num_envs, -1))
-        seen, rewards, _, *flags = self.simulator.native.step(joint.tobytes())
+        seen, rewards, terms, efforts, *flags = self.simulator.native.step(joint.tobytes())
         terminated, truncated, fault = (np.frombuffer(flag, np.bool_) for flag in flags)
-        infos = {"fault": fault, "_fault": fault} if fault.any() else {}
+        infos = self._infos(terms, efforts)
+        if fault.any():
+            infos |= {"fault": fault, "_fault": fault}
+        self._running = ~(terminated | truncated)
         return self._observed(seen), np.frombuffer(rewards, np.float32), terminated, truncated, infos
 
     def state(self) -> Numbers:
         """The global states, `[E, S]`."""
         return np.frombuffer(self.simulator.native.states(), np.float32).reshape(self.num_envs, -1)
+
+    def _infos(self, terms: bytearray, efforts: bytearray) -> dict[str, Any]:
+        """Terms of the rewards and efforts, in which a game has none."""
+        if not self.task.joints:
+            return {}
+
+        def by_name(names: list[str], rows: bytearray) -> dict[str, Numbers]:
+            return dict(zip(names, np.frombuffer(rows, np.float32).reshape(self.num_envs, -1).T, strict=True))
+
+        return {
+            "reward_terms": by_name(self.task.reward_terms, terms),
+            "_reward_terms": self._running,
+            "efforts": by_name(self.task.joints, efforts),
+            "_efforts": self._running,
+        }
 
     def _observed(self, seen: bytearray) -> Numbers:
         rows = np.frombuffer(seen, np.float32).reshape(self.num_envs, -1)

@@ -14,8 +14,9 @@ use crate::arrays::{bytes, numbers, refused};
 /// which the actions -1 and 1 are mapped.
 type Agent = (String, Vec<String>, Vec<String>, usize, Option<u32>, Vec<[f32; 2]>);
 
-/// A task: name, seconds of a step, steps of an episode, features of the global state, terms of the reward, and the agents.
-type Task = (String, f64, u32, Vec<String>, Vec<String>, Vec<Agent>);
+/// A task: name, seconds of a step, steps of an episode, features of the global state, terms of the reward, joints with efforts,
+/// and the agents.
+type Task = (String, f64, u32, Vec<String>, Vec<String>, Vec<String>, Vec<Agent>);
 
 /// `E` environments of one task, stepped together. Arrays are bytes: little-endian f32, and truth values of one byte.
 #[pyclass(module = "s2mia._native", frozen)]
@@ -56,7 +57,8 @@ impl Environments {
             let state = task.state.iter().map(|feature| feature.name.clone()).collect();
             let (name, terms, agents) =
                 (task.task.clone(), task.reward_terms.clone(), agents.collect());
-            Ok((name, task.dt_secs, task.episode_steps, state, terms, agents))
+            let joints = inner.effort_names();
+            Ok((name, task.dt_secs, task.episode_steps, state, terms, joints, agents))
         })
     }
 
@@ -66,8 +68,8 @@ impl Environments {
     }
 
     /// Steps all environments with the actions `[E, A]`. Returns observations `[E, O]`, rewards `[E]`, their terms `[E, K]`,
-    /// terminations, truncations and faults, `[E]`.
-    fn step<'py>(&self, py: Python<'py>, actions: &[u8]) -> PyResult<[Bound<'py, PyByteArray>; 6]> {
+    /// efforts `[E, J]`, terminations, truncations and faults, `[E]`.
+    fn step<'py>(&self, py: Python<'py>, actions: &[u8]) -> PyResult<[Bound<'py, PyByteArray>; 7]> {
         let actions = numbers(actions);
         let columns = self.locked(py, |inner| {
             inner.step(&actions)?;
@@ -78,6 +80,7 @@ impl Environments {
                 bytes(inner.observations().copied()),
                 bytes(inner.outcomes().map(|outcome| outcome.reward)),
                 bytes(inner.reward_terms().copied()),
+                bytes(inner.efforts().copied()),
                 flags(|outcome| outcome.terminated),
                 flags(|outcome| outcome.truncated),
                 flags(|outcome| outcome.fault),

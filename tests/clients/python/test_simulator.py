@@ -145,7 +145,8 @@ def test_a_fault_ends_the_episode_with_a_word_in_the_infos():
     envs.simulator.native.restore(1, spoilt)
     _, rewards, terminated, truncated, infos = team.step(rest(team))
     names = team.possible_agents
-    info = {"fault": True, "reward_terms": dict.fromkeys(team.task.reward_terms, 0.0)}
+    terms, efforts = (dict.fromkeys(names, 0.0) for names in (team.task.reward_terms, team.task.joints))
+    info = {"fault": True, "reward_terms": terms, "efforts": efforts}
     assert infos == dict.fromkeys(names, info) and team.agents == []
     assert (rewards, terminated, truncated) == tuple(dict.fromkeys(names, value) for value in (0, False, True))
     assert one.step(np.zeros(8))[1:] == (0, False, True, info)

@@ -41,7 +41,32 @@ def test_spaces_have_an_axis_for_environments_and_one_for_agents():
     assert seen in envs.observation_space and envs.state().shape == (3, len(envs.task.state))
     seen, rewards, terminated, truncated, infos = envs.step(envs.action_space.sample())
     assert seen.shape == (3, 4, features) and rewards.shape == terminated.shape == truncated.shape == (3,)
-    assert (rewards.dtype, terminated.dtype, truncated.dtype, infos) == (np.float32, bool, bool, {})
+    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float32, bool, bool)
+    assert list(infos) == ["reward_terms", "_reward_terms", "efforts", "_efforts"]
+
+
+def test_infos_have_each_environments_reward_terms_and_efforts():
+    envs = s2mia.vector_env("halfcheetah-2x3", 2, seed=1, environments__steps=10)
+    team = s2mia.parallel_env("halfcheetah-2x3", seed=1, environments__steps=10)
+    envs.reset(options={"limit": [1000, 4]})
+    team.reset()
+    actions = np.stack([np.full((2, 3), 0.5), np.full((2, 3), -2)])
+    # The gears of the model in N m; controls beyond the range are clamped. The rebuild after ten steps discards no effort.
+    gears = dict(zip(envs.task.joints, [120, 90, 60, 120, 60, 30], strict=True))
+    for step in range(1, 11):
+        _, rewards, *_, infos = envs.step(actions)
+        *_, alone = team.step({"agent_0": actions[0, 0], "agent_1": actions[0, 1]})
+        for part, values in alone["agent_0"].items():
+            assert {name: row[0] for name, row in infos[part].items()} == values, (step, part)
+        assert infos["_reward_terms"].tolist() == infos["_efforts"].tolist() == [True, step != 5]
+        torque = 0 if step == 5 else -1
+        assert {name: row.tolist() for name, row in infos["efforts"].items()} == {
+            name: [0.5 * gear, torque * gear] for name, gear in gears.items()
+        }
+        assert np.allclose(np.sum(list(infos["reward_terms"].values()), 0), rewards, atol=1e-5)
+    game = s2mia.vector_env("cue-2x1")
+    game.reset()
+    assert game.step([[0, 0]])[-1] == {}
 
 
 def test_an_ended_episode_is_followed_by_a_step_that_starts_the_next():
