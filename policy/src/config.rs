@@ -73,6 +73,8 @@ pub struct PolicyConfig {
     pub noise_hold: Option<u32>,
     /// Shared noise: correlation of each action's noise with the signal, at most 0.95; absent or 0: learnt.
     pub noise_loading: Option<f32>,
+    /// Shared noise: environment steps in which the loadings decrease linearly to 0; absent or 0: they stay.
+    pub noise_decay_steps: Option<u64>,
 }
 
 impl PolicyConfig {
@@ -106,7 +108,17 @@ impl PolicyConfig {
 
     fn shared_noise(&self) -> SharedNoise {
         let (size, hold) = (self.noise_size.unwrap_or(1), self.noise_hold.unwrap_or(1));
-        SharedNoise { size, hold, loading: self.noise_loading.filter(|loading| *loading != 0.0) }
+        let loading = self.noise_loading.filter(|loading| *loading != 0.0);
+        SharedNoise { size, hold, loading, share: None }
+    }
+
+    /// Fraction of the loadings of shared noise with which agents act after `env_steps` environment steps of a run.
+    #[must_use]
+    pub fn noise_share(&self, env_steps: u64) -> f64 {
+        match self.noise_decay_steps {
+            None | Some(0) => 1.0,
+            Some(steps) => steps.saturating_sub(env_steps) as f64 / steps as f64,
+        }
     }
 
     /// The distribution of a policy: `head`, with the configured noise if it is a Gaussian.
@@ -155,6 +167,16 @@ mod tests {
             ("policy.noise_loading", PolicyConfig { noise_loading: Some(0.96), ..valid() }),
         ] {
             assert_eq!(changed.validate().expect_err("refused").key, key);
+        }
+    }
+
+    #[test]
+    fn loadings_decrease_linearly_to_zero_or_stay() {
+        let decaying = PolicyConfig { noise_decay_steps: Some(400), ..valid() };
+        let shares = [0, 100, 200, 400, 500].map(|steps| decaying.noise_share(steps));
+        assert_eq!(shares, [1.0, 0.75, 0.5, 0.0, 0.0]);
+        for noise_decay_steps in [None, Some(0)] {
+            assert_eq!(PolicyConfig { noise_decay_steps, ..valid() }.noise_share(500), 1.0);
         }
     }
 

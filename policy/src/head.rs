@@ -192,6 +192,7 @@ mod tests {
     use crate::randomness::{Draw, Purpose, RunSeed, generator};
 
     const EXPLORING: Head = Head::Deterministic { noise_sigma: 0.5, low: -2.0, high: 4.0 };
+    const NOISE: SharedNoise = SharedNoise { size: 1, hold: 1, loading: None, share: None };
     const WARMING_UP: Head = Head::Uniform { low: -2.0, high: 4.0 };
 
     fn drawn(head: Head, mean: f32, count: usize) -> Vec<f32> {
@@ -248,9 +249,10 @@ mod tests {
             Head::Uniform { low: f32::NAN, high: 1.0 },
             Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
             Head::Categorical { choices: 0 },
-            Head::SharedGaussian(SharedNoise { size: 0, hold: 1, loading: None }),
-            Head::SharedGaussian(SharedNoise { size: 1, hold: 0, loading: None }),
-            Head::SharedGaussian(SharedNoise { size: 1, hold: 1, loading: Some(1.0) }),
+            Head::SharedGaussian(SharedNoise { size: 0, ..NOISE }),
+            Head::SharedGaussian(SharedNoise { hold: 0, ..NOISE }),
+            Head::SharedGaussian(SharedNoise { loading: Some(1.0), ..NOISE }),
+            Head::SharedGaussian(SharedNoise { share: Some(1.1), ..NOISE }),
         ] {
             assert!(head.check(1).is_err(), "{head:?}");
         }

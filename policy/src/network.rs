@@ -30,7 +30,7 @@ impl SequenceInput {
 }
 
 /// One agent's actor network: the trunk (all layers but the last) and the head of the policy `p`.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct ActorNetwork {
     spec: ActorSpec,
     sigma_floor: f64,
@@ -76,6 +76,12 @@ impl ActorNetwork {
         };
         let sigma_floor = f64::from(config.sigma_floor);
         Ok(Self { spec, sigma_floor, parameters, layers, log_std, loading })
+    }
+
+    /// A network of the same parameters whose agents act with this fraction of the loadings of shared noise.
+    #[must_use]
+    pub fn with_noise_share(&self, share: f32) -> Self {
+        Self { spec: self.spec.clone().with_noise_share(share), ..self.clone() }
     }
 
     /// All parameters, named as in PyTorch.

@@ -7,8 +7,8 @@ use candle_core::{Device, Tensor, Var};
 use crate::arrays::{Array, NamedArrays};
 use crate::error::PolicyError;
 
-/// Named parameters in the order of their declaration.
-#[derive(Debug, Default)]
+/// Named parameters in the order of their declaration. Clones share their values.
+#[derive(Clone, Debug, Default)]
 pub struct Parameters {
     spans: Vec<TensorSpan>,
     vars: Vec<Var>,

@@ -75,5 +75,6 @@ pub fn config(core: CoreKind) -> PolicyConfig {
         noise_size: None,
         noise_hold: None,
         noise_loading: None,
+        noise_decay_steps: None,
     }
 }

@@ -2,7 +2,7 @@
 //! correlated: `a = mu + sigma (r z + sqrt(1 - |r|^2) eps)`, element-wise in the `act` action dimensions.
 //!
 //! The signal `z`, `[K]`, is standard normal. Its key names no agent, so every process computes it and none sends it.
-//! The loadings `r`, `[act, K]`, have rows of norm below 1; `eps` is each agent's own. Given `z`, the policy is a
+//! The loadings `r`, `[act, K]`, have rows of norm below 1 and may decrease during a run; `eps` is each agent's own. Given `z`, the policy is a
 //! diagonal Gaussian with mean `mu + sigma r z` and deviations `sigma sqrt(1 - |r|^2)`. Without `z`, its deviations are
 //! `sigma`.
 
@@ -35,6 +35,9 @@ pub struct SharedNoise {
     /// Norm of every row of loadings; absent if they are learnt.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loading: Option<f32>,
+    /// Fraction of the loadings with which agents act; absent: 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub share: Option<f32>,
 }
 
 /// What determines the shape of the loadings.
@@ -52,6 +55,16 @@ impl SharedNoise {
         (1..=MAX_SIGNAL).contains(&self.size)
             && (1..=MAX_HOLD).contains(&self.hold)
             && self.loading.is_none_or(holds)
+            && (0.0..=1.0).contains(&self.share())
+    }
+
+    fn share(self) -> f32 {
+        self.share.unwrap_or(1.0)
+    }
+
+    /// The same noise with this fraction of the loadings.
+    pub(crate) fn scaled(self, share: f32) -> Self {
+        Self { share: Some(share).filter(|share| *share != 1.0), ..self }
     }
 
     /// The signal `[K]` of the step whose action has the key `action`, whichever agent's it is.
@@ -78,7 +91,12 @@ impl SharedNoise {
 
     /// Largest magnitude of a learnt loading, so that no row exceeds [`LARGEST_LOADING`].
     fn limit(self) -> f32 {
-        LARGEST_LOADING / (self.size as f32).sqrt()
+        self.share() * LARGEST_LOADING / (self.size as f32).sqrt()
+    }
+
+    /// The constant loadings `[act, K]`; zeros if they are learnt.
+    fn constant(self, action: usize) -> Vec<f32> {
+        self.pattern(action, self.share() * self.loading.unwrap_or_default())
     }
 
     /// The loadings `limit tanh(u)`, `[act, K]`, of parameters `u`, or the constant ones.
@@ -87,10 +105,7 @@ impl SharedNoise {
         match u {
             // tanh(u) = 2 sigmoid(2 u) - 1
             Some(u) => Ok(sigmoid(&(u * 2.0)?)?.affine(2.0 * limit, -limit)?),
-            None => {
-                let values = self.pattern(action, self.loading.unwrap_or_default());
-                Ok(Tensor::from_vec(values, (action, self.size), &Device::Cpu)?)
-            }
+            None => Ok(Tensor::from_vec(self.constant(action), (action, self.size), &Device::Cpu)?),
         }
     }
 }
@@ -110,9 +125,9 @@ pub(crate) struct GivenSignal {
 impl GivenSignal {
     /// Deviations of a policy with `sigma` `[act]`, and the parameters `u` `[act, K]` if its loadings are learnt.
     pub(crate) fn new(noise: SharedNoise, sigma: &[f32], u: Option<&[f32]>) -> Self {
-        let constant = noise.pattern(sigma.len(), noise.loading.unwrap_or_default());
         let learnt = |u: &f32| noise.limit() * kernels::tanh(*u);
-        let loadings = u.map_or(constant, |u| u.iter().map(learnt).collect());
+        let constant = || noise.constant(sigma.len());
+        let loadings = u.map_or_else(constant, |u| u.iter().map(learnt).collect());
         let rows = || loadings.chunks_exact(noise.size).zip(sigma);
         let shifts = rows().flat_map(|(row, sigma)| row.iter().map(move |r| sigma * r)).collect();
         let squares = |row: &[f32]| row.iter().map(|r| r * r).sum::<f32>();
@@ -154,7 +169,7 @@ mod tests {
     const SEED: RunSeed = RunSeed(4);
 
     fn noise(size: usize, hold: u32, loading: Option<f32>) -> SharedNoise {
-        SharedNoise { size, hold, loading }
+        SharedNoise { size, hold, loading, share: None }
     }
 
     #[test]
@@ -196,16 +211,32 @@ mod tests {
     }
 
     #[test]
+    fn a_share_scales_learnt_and_constant_loadings_and_without_one_noise_is_independent() {
+        let u = [0.549_306, -0.2];
+        for (loading, u) in [(Some(0.6), None), (None, Some(&u[..]))] {
+            let of =
+                |share: f32| GivenSignal::new(noise(1, 1, loading).scaled(share), &[0.4; 2], u);
+            for (half, whole) in of(0.5).loadings.iter().zip(&of(1.0).loadings) {
+                assert_eq!(*half, 0.5 * whole);
+            }
+            let mut means = [1.0, -2.0];
+            of(0.0).shift(SEED, Draw::of_action(0, 0, 0, 0), &mut means);
+            assert_eq!((means, of(0.0).deviations), ([1.0, -2.0], vec![0.4; 2]));
+        }
+        assert_eq!(noise(1, 1, None).scaled(1.0), noise(1, 1, None));
+    }
+
+    #[test]
     fn tensors_of_loadings_are_those_of_an_actor_and_no_row_exceeds_the_limit() {
         for (size, u) in [(1, vec![0.3, -9.0]), (2, vec![0.3, -0.1, 9.0, 9.0])] {
-            let noise = noise(size, 1, None);
+            let noise = noise(size, 1, None).scaled(0.75);
             let own = Tensor::from_vec(u.clone(), (2, size), &Device::Cpu).unwrap();
             let trained = noise.loadings(Some(&own), 2).unwrap().flatten_all().unwrap();
             let acting = GivenSignal::new(noise, &[0.5; 2], Some(&u)).loadings;
             let trained = trained.to_vec1::<f32>().unwrap();
             assert!(trained.iter().zip(&acting).all(|(a, b)| (a - b).abs() < 1e-6), "{trained:?}");
             let squares = |row: &[f32]| row.iter().map(|r| r * r).sum::<f32>();
-            assert!(acting.chunks_exact(size).all(|row| squares(row).sqrt() < 0.950_001));
+            assert!(acting.chunks_exact(size).all(|row| squares(row).sqrt() < 0.75 * 0.950_001));
         }
     }
 }

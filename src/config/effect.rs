@@ -38,7 +38,15 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["policy.input_norm", "policy.head_gain"], &[LAYER_NORMS]),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
     (&["policy.noise"], &[ON_POLICY, Environment(Several), Environment(Continuous)]),
-    (&["policy.noise_loading", "policy.noise_size", "policy.noise_hold"], &[SHARED_NOISE]),
+    (
+        &[
+            "policy.noise_loading",
+            "policy.noise_size",
+            "policy.noise_hold",
+            "policy.noise_decay_steps",
+        ],
+        &[SHARED_NOISE],
+    ),
     (&["update.parameters"], &[Environment(Several)]),
     (
         &[
@@ -227,6 +235,7 @@ mod tests {
         ("policy.head_gain=0.1", &["algorithm=maddpg"], &["algorithm=hasac"]),
         ("policy.noise=independent", &[], &["algorithm=maddpg"]),
         ("policy.noise_hold=5", &["policy.noise=shared"], &[]),
+        ("policy.noise_decay_steps=5", &["algorithm=happo-shared"], &["algorithm=happo"]),
         ("update.clip=0.2", &[], &["algorithm=maddpg"]),
         ("surprise.density=vae", &[], &["algorithm=happo"]),
         ("influence.estimator=variational_kl", &[], &["algorithm=happo-sm"]),

@@ -340,7 +340,8 @@ mod tests {
     #[test]
     fn a_given_value_that_runs_have_without_it_leaves_the_settings_as_they_are() {
         let toml = |settings: &[&str]| RunConfig::with(settings).unwrap().resolved.to_toml();
-        let shared = ["algorithm=happo-shared", "policy.noise_hold=1"];
+        let shared =
+            ["algorithm=happo-shared", "policy.noise_hold=1", "policy.noise_decay_steps=0"];
         assert_eq!(toml(&["policy.noise=independent"]), toml(&[]));
         assert_eq!(toml(&shared), toml(&shared[..1]));
         assert_ne!(toml(&[shared[0], "policy.noise_loading=0"]), toml(&shared));

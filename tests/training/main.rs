@@ -149,10 +149,11 @@ fn a_resumed_run_equals_an_undisturbed_one_whatever_interrupted_it() {
     assert_ne!(train(launch_in(steady.path(), 5), 2).weights_sha256, undisturbed.weights_sha256);
 }
 
-/// Agents that share noise, with exact influence.
+/// Agents that share noise, with exact influence. Loadings decrease to 0 in the first three of four iterations.
 fn sharing_noise(folder: &Path) -> Launch {
     let mut launch = launch_in(folder, 4);
     (launch.policy.noise, launch.policy.noise_hold) = (Some(Noise::Shared), Some(3));
+    launch.policy.noise_decay_steps = Some(3 * 4 * 8);
     launch.training.influence.estimator = Estimator::Exact;
     launch
 }
@@ -171,6 +172,8 @@ fn agents_that_share_noise_learn_the_same_with_one_and_three_actors_and_after_a_
     let first = metrics.iter().find(|line| line["kind"] == "iteration").unwrap();
     assert!(first["agent0/mi_estimate"].as_f64() > Some(0.0), "{first}");
     assert!(first["agent1/noise_loading"].as_f64() > Some(0.0), "{first}");
+    let last = metrics.iter().rfind(|line| line["kind"] == "iteration").unwrap();
+    assert_eq!([&last["agent0/mi_estimate"], &last["agent1/noise_loading"]], [0.0, 0.0]);
 }
 
 #[test]

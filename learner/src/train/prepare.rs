@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use bytes::Bytes;
 use marl::Surprise;
 use proto::{Incarnation, RunDescription};
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -18,7 +19,7 @@ use crate::train::environments::Environments;
 use crate::train::evaluation::Evaluations;
 use crate::train::fail_points;
 use crate::train::provenance::Provenance;
-use crate::train::trainer::{Trainer, policy_bytes};
+use crate::train::trainer::Trainer;
 
 /// Claims the run folder and builds the trainer; nothing is overwritten unless everything fits.
 ///
@@ -101,7 +102,7 @@ fn build(
     let (algorithm, observations) = pool.install(|| launch.first_state())?;
     let environments = &launch.config.environments;
     let (metrics, measured) = Metrics::open(folder.path(), iteration)?;
-    Ok(Trainer {
+    let mut trainer = Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(description, environments.count, environments.phase),
         evaluations: Evaluations::new(
@@ -111,7 +112,7 @@ fn build(
             measured,
         )
         .with(launch.evaluations.clone()),
-        policy: policy_bytes(algorithm.as_ref(), &observations)?,
+        policy: Bytes::new(),
         observations,
         algorithm,
         iteration: 0,
@@ -122,7 +123,9 @@ fn build(
         failed_saves: 0,
         pool,
         launch,
-    })
+    };
+    trainer.encode_policies(0)?;
+    Ok(trainer)
 }
 
 /// Number of threads; 0 stands for one per core. rayon would read `RAYON_NUM_THREADS` instead.

@@ -324,9 +324,18 @@ impl Trainer {
         let update = || algorithm.update(&seen, &rewards, *iteration);
         let report = pool.install(update)?;
         pool.install(|| observations.take_in(batch));
-        self.policy = policy_bytes(self.algorithm.as_ref(), &self.observations)?;
+        self.encode_policies(self.iteration + 1)?;
         let update_secs = begin.elapsed().as_secs_f64();
         Ok(Update { report, density_secs, update_secs })
+    }
+
+    /// Encodes the policies for the rollouts of an iteration.
+    pub(crate) fn encode_policies(&mut self, iteration: u64) -> Result<(), MarlError> {
+        let share = self.launch.policy.noise_share(self.steps_after(iteration));
+        self.algorithm.scale_noise(share);
+        let snapshot = self.observations.snapshot(self.algorithm.snapshot()?);
+        self.policy = Bytes::from(snapshot.to_bytes()?);
+        Ok(())
     }
 
     fn trace(
@@ -347,12 +356,4 @@ impl Trainer {
         })?;
         Ok(())
     }
-}
-
-/// The policies, encoded for actors.
-pub(crate) fn policy_bytes(
-    algorithm: &dyn Algorithm,
-    observations: &ObservationMoments,
-) -> Result<Bytes, MarlError> {
-    Ok(Bytes::from(observations.snapshot(algorithm.snapshot()?).to_bytes()?))
 }

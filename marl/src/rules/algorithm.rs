@@ -19,6 +19,10 @@ pub trait Algorithm: StoredState + Send {
     /// the stored state, so the caller sets it before every [`Algorithm::update`].
     fn scale_learning_rates(&mut self, share: f64);
 
+    /// Sets the fraction of the loadings of noise that agents share, for the next [`Algorithm::snapshot`] and the update with
+    /// what its policies do. It is not part of the stored state, so the caller sets it before every snapshot.
+    fn scale_noise(&mut self, share: f64);
+
     /// Updates the policies once with the rollout data of iteration `iteration` and every agent's rewards `[N][T, B]`.
     ///
     /// # Errors

@@ -214,6 +214,9 @@ impl Algorithm for Hasac {
         self.agents.iter_mut().for_each(|agent| agent.scale_learning_rates(share));
     }
 
+    /// The agents share no noise.
+    fn scale_noise(&mut self, _share: f64) {}
+
     fn update(
         &mut self,
         batch: &Batch,

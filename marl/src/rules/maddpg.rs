@@ -76,6 +76,9 @@ impl Algorithm for Maddpg {
         self.agents.iter_mut().for_each(|agent| agent.scale_learning_rates(share));
     }
 
+    /// The agents share no noise.
+    fn scale_noise(&mut self, _share: f64) {}
+
     fn update(
         &mut self,
         batch: &Batch,

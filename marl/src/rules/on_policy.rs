@@ -70,6 +70,12 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
         self.team.scale_learning_rates(share);
     }
 
+    fn scale_noise(&mut self, share: f64) {
+        for agent in &mut self.team.agents {
+            agent.network = Arc::new(agent.network.with_noise_share(share as f32));
+        }
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

@@ -143,6 +143,14 @@ impl ActorSpec {
         self.head.unwrap_or(Head::Gaussian)
     }
 
+    /// The same policy with this fraction of the loadings of shared noise; without shared noise nothing changes.
+    pub(crate) fn with_noise_share(mut self, share: f32) -> Self {
+        if let Some(Head::SharedGaussian(noise)) = &mut self.head {
+            *noise = noise.scaled(share);
+        }
+        self
+    }
+
     pub(crate) fn action(&self) -> usize {
         self.action
     }

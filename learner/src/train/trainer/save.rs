@@ -116,7 +116,7 @@ impl Trainer {
         self.observations.restore(arrays)?;
         self.environments.restore(arrays, self.iteration)?;
         self.evaluations.restore(arrays)?;
-        self.policy = super::policy_bytes(self.algorithm.as_ref(), &self.observations)?;
+        self.encode_policies(self.iteration)?;
         Ok(())
     }
 }

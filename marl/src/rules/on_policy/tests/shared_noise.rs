@@ -1,6 +1,8 @@
 //! Agents that share noise: the learner computes the actors' signals, and influence by the loadings agrees with its
 //! estimate.
 
+use std::sync::Arc;
+
 use policy::{Draw, Noise, Purpose, Scratch, generator};
 
 use super::super::agent::fit_posteriors;
@@ -85,17 +87,41 @@ fn gathered(agents: &[Agent], batch: &Batch, iteration: u64) -> Vec<Experience> 
 
 #[test]
 fn the_learner_computes_the_actors_log_densities_from_the_iterations_signals() {
-    let agents = pair(&config(Estimator::Exact), 0.9);
-    let batch = played(&agents);
-    let layout = ChunkLayout::of(&batch, 5);
-    let largest_difference = |iteration, index: usize| {
-        let found = gathered(&agents, &batch, iteration);
-        let sent = layout.chunked(&batch.agents[index].log_prob, 1);
-        let pairs = found[index].log_prob.iter().zip(sent);
-        pairs.map(|(found, sent)| (found - f64::from(sent)).abs()).fold(0.0, f64::max)
+    for share in [1.0, 0.5] {
+        let mut agents = pair(&config(Estimator::Exact), 0.9);
+        for agent in &mut agents {
+            agent.network = Arc::new(agent.network.with_noise_share(share));
+        }
+        let batch = played(&agents);
+        let layout = ChunkLayout::of(&batch, 5);
+        let largest_difference = |iteration, index: usize| {
+            let found = gathered(&agents, &batch, iteration);
+            let sent = layout.chunked(&batch.agents[index].log_prob, 1);
+            let pairs = found[index].log_prob.iter().zip(sent);
+            pairs.map(|(found, sent)| (found - f64::from(sent)).abs()).fold(0.0, f64::max)
+        };
+        assert!(largest_difference(ITERATION, 0) < 1e-4 && largest_difference(ITERATION, 1) < 1e-4);
+        assert!(largest_difference(ITERATION + 1, 0) > 1.0);
+    }
+}
+
+#[test]
+fn an_update_with_a_share_of_zero_is_that_of_independent_noise() {
+    let mut config = config(Estimator::VariationalKl);
+    config.influence.lambda = 0.0;
+    let (problem, batch) = (sample::problem(), sample::batch());
+    let updated = |noise: Option<f64>| {
+        let shared = noise.map(|_| Noise::Shared);
+        let policy = PolicyConfig { noise: shared, noise_loading: Some(0.7), ..sample::policy() };
+        let mut algorithm = crate::build(&config, &policy, &problem, SEED).unwrap();
+        algorithm.scale_noise(noise.unwrap_or(1.0));
+        algorithm.update(&batch, &vec![batch.reward.clone(); 2], ITERATION).unwrap();
+        algorithm.arrays().unwrap()
     };
-    assert!(largest_difference(ITERATION, 0) < 1e-4 && largest_difference(ITERATION, 1) < 1e-4);
-    assert!(largest_difference(ITERATION + 1, 0) > 1.0);
+    let independent = updated(None);
+    assert_eq!(updated(Some(0.0)), independent);
+    let [half, whole] = [0.5, 1.0].map(|share| updated(Some(share)));
+    assert!(half != independent && whole != independent && half != whole);
 }
 
 #[test]
