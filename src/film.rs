@@ -17,7 +17,7 @@ pub(crate) use animation::{Animation, FFMPEG};
 pub(crate) use drawing::ViewDirection;
 pub(crate) use episode::PlayedEpisode;
 
-/// What stays the same from frame to frame.
+/// What stays the same from frame to frame of an episode.
 pub(crate) struct RobotShapes {
     shapes: Vec<LinkShape>,
     /// What is fixed around it, in the world.
@@ -28,12 +28,12 @@ pub(crate) struct RobotShapes {
 }
 
 impl RobotShapes {
-    /// The shapes of a simulated robot; `None` for a game.
+    /// The shapes of the simulated robot and its world in the current episode of environment 0; `None` for a game.
     pub(crate) fn of(world: &dyn EnvironmentBatch) -> Option<Self> {
         let description = world.description();
         let drivers = sim::drivers(description, &world.pose(0));
-        let robot = world.robot()?;
-        let (shapes, fixed) = (robot.shapes(), robot.fixed_outlines());
+        let simulated = world.world(0)?;
+        let (shapes, fixed) = (simulated.robot().shapes(), simulated.fixed_outlines());
         Some(Self { shapes, fixed, drivers, agents: description.agents.len() })
     }
 }

@@ -1,7 +1,7 @@
 //! Film of an evaluated episode, as capsules in the world, for viewers of the run.
 
 use proto::{Film, MAX_CAPSULES, MAX_FRAMES};
-use sim::{Capsule, EnvironmentBatch, LinkShape, Robot};
+use sim::{Capsule, EnvironmentBatch, LinkShape, Robot, World};
 
 use crate::step_event::StepEvent;
 
@@ -28,7 +28,7 @@ impl FilmRecorder {
         }
         let link = |shape: &LinkShape| pose.links.iter().position(|link| link.name == shape.link);
         let shapes = world.robot().map(Robot::shapes).unwrap_or_default().into_iter();
-        let fixed = world.robot().map(Robot::fixed_capsules).unwrap_or_default().into_iter();
+        let fixed = world.world(0).map(World::fixed_capsules).unwrap_or_default().into_iter();
         let shapes = shapes.filter_map(|shape| Some((link(&shape)?, shape.capsules())));
         let mut capsules: Vec<(Option<usize>, Capsule)> = shapes
             .flat_map(|(link, all)| all.into_iter().map(move |one| (Some(link), one)))

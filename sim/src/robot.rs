@@ -3,7 +3,6 @@
 mod activation;
 mod actuator;
 mod assemble;
-mod backdrop;
 mod blueprint;
 mod convex;
 mod coupling;

@@ -1,5 +1,6 @@
 //! One robot in one rapier world: rebuild, step, read.
 
+mod backdrop;
 mod conditions;
 mod constraints;
 mod contact_law;

@@ -275,6 +275,8 @@ struct Trial {
     faults: u32,
     /// Largest velocity, m/s or rad/s, and its name.
     fastest: (f32, String),
+    /// The shapes of the first episode; `None` for a game.
+    robot: Option<RobotShapes>,
     /// Poses of the first episode.
     poses: Vec<Pose>,
 }
@@ -285,6 +287,9 @@ impl Trial {
         let limit = world.description().episode_steps;
         let start = Draw::of(Purpose::EvaluationReset).iteration(episode.into());
         world.reset(0, 0, limit, DrawKey::of(SEED, start).0)?;
+        if episode == 0 {
+            self.robot = RobotShapes::of(world);
+        }
         let mut outcome = [Outcome::default()];
         for step in 0.. {
             if episode == 0 {
@@ -331,14 +336,14 @@ impl Trial {
 
     /// Pictures of the first episode at equal distances.
     fn film(&self, world: &dyn EnvironmentBatch) -> anyhow::Result<Vec<u8>> {
-        let robot = RobotShapes::of(world).context("only robots can be drawn")?;
+        let robot = self.robot.as_ref().context("only robots can be drawn")?;
         let dt_secs = world.description().dt_secs;
         let count = FRAMES.min(self.poses.len());
         let frame = |picture: usize| {
             let step = picture * (self.poses.len() - 1) / count.saturating_sub(1).max(1);
             TimedPose { time_secs: step as f64 * dt_secs, pose: &self.poses[step] }
         };
-        film::strip(&robot, &(0..count).map(frame).collect::<Vec<_>>(), ViewDirection::Side)
+        film::strip(robot, &(0..count).map(frame).collect::<Vec<_>>(), ViewDirection::Side)
     }
 }
 

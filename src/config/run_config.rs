@@ -105,7 +105,7 @@ impl RunConfig {
     pub(crate) fn of(request: &Request) -> Result<Self, ConfigError> {
         let mut config = Self::build(layers::resolve(request)?)?;
         if request.resumed.is_none() || config.resolved.is_given(keys::START) {
-            start::identify(&mut config.resolved)?;
+            start::identify(&mut config)?;
         }
         config.resolved.remove_usual(layers::is_usual);
         Ok(config)

@@ -31,15 +31,18 @@ impl PlayedEpisode {
         policy: &PolicySnapshot,
         key: DrawKey,
     ) -> anyhow::Result<Self> {
-        let Some(robot) = RobotShapes::of(world) else {
-            let why = format!("{} is a game: there is nothing to draw", world.description().task);
-            return Err(Usage::new(why).into());
+        let is_game = || {
+            Usage::new(format!("{} is a game: there is nothing to draw", world.description().task))
         };
+        let mut robot = RobotShapes::of(world).ok_or_else(is_game)?;
         let dt_secs = world.description().dt_secs;
         let (mut moments, mut end) = (Vec::new(), Outcome::default());
         let start = (key, ActionChoice::Mean);
         let episode = rollout::play_episode(world, policy, start, |event| match event {
-            StepEvent::Before(0, world) => moments.push(Moment::of(world)),
+            StepEvent::Before(0, world) => {
+                robot = RobotShapes::of(world).expect("it is no game");
+                moments.push(Moment::of(world));
+            }
             StepEvent::Before(..) => {}
             StepEvent::After(step) => {
                 let before = moments.last().expect("the start is there");

@@ -7,9 +7,10 @@ use anyhow::Context as _;
 use learner::store::run_folder::START_POLICIES;
 use learner::store::{checkpoint, plain_file};
 use policy::PolicySnapshot;
-use proto::Digest;
+use proto::{AgentSpec, Digest};
 
 use crate::config::keys::{START, START_SHA256};
+use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Resolved, layers};
 use crate::process::shell;
 use crate::run::chosen::ChosenArguments;
@@ -22,16 +23,17 @@ const NORM: &str = "observation.norm";
 struct Found {
     /// The encoded policies.
     bytes: Vec<u8>,
-    /// The value of [`NORM`] in their run; `None` for a file, which does not say it.
-    norm: Option<String>,
+    /// The configuration of their run; `None` for a file, which does not say it.
+    config: Option<RunConfig>,
 }
 
 /// Sets the SHA-256 of the policies that the settings name. Without any, no setting of them remains.
 ///
 /// # Errors
-/// There are no such policies, they see other observations, or they are not those with the SHA-256 that the same file or command
-/// gives.
-pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
+/// There are no such policies, they see other observations or move other joints, or they are not those with the SHA-256 that the
+/// same file or command gives.
+pub(crate) fn identify(config: &mut RunConfig) -> Result<(), ConfigError> {
+    let resolved = &mut config.resolved;
     let named = resolved.text(START).to_owned();
     if named.is_empty() {
         if resolved.is_given(START_SHA256) {
@@ -41,12 +43,12 @@ pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
         resolved.remove_start();
         return Ok(());
     }
-    let Found { bytes, norm } = named_policies(resolved)?;
-    let own = resolved.text(NORM);
-    if let Some(norm) = norm.filter(|norm| *norm != own) {
-        let why = format!("the policies of {named} need {NORM} = {norm}, this run has {own}");
-        return Err(ConfigError::refused(resolved, &[START], &format!("{START}: {why}")));
+    let Found { bytes, config: trained } = named_policies(resolved)?;
+    if let Some(why) = trained.and_then(|trained| difference(&trained, config)) {
+        let why = format!("{START}: the policies of {named} {why}");
+        return Err(ConfigError::refused(&config.resolved, &[START], &why));
     }
+    let resolved = &mut config.resolved;
     let origin = resolved.origin(START_SHA256);
     if origin == resolved.origin(START) || layers::is_of_this_command(origin) {
         demand_digest(resolved, &bytes)?;
@@ -76,6 +78,45 @@ pub(crate) fn policies(
     Ok(Some(bytes))
 }
 
+/// Why a run cannot start from the policies of the run `trained`, if it cannot. Sizes are compared when training begins.
+fn difference(trained: &RunConfig, own: &RunConfig) -> Option<String> {
+    let [norm, own_norm] = [trained, own].map(|config| config.resolved.text(NORM));
+    if norm != own_norm {
+        return Some(format!("need {NORM} = {norm}, this run has {own_norm}"));
+    }
+    let [(task, agents), (own_task, own_agents)] = [simulated(trained)?, simulated(own)?];
+    if agents.len() != own_agents.len() {
+        return None;
+    }
+    let mut differences = agents.iter().zip(&own_agents).filter_map(|(agent, own)| {
+        let [names, own_names] = [names(agent), names(own)];
+        let mut pairs = names.iter().zip(&own_names);
+        let (name, own_name) = pairs.find(|(a, b)| names.len() == own_names.len() && a != b)?;
+        Some(format!(
+            "are for {task}, whose {} has `{name}` where that of {own_task} has `{own_name}`",
+            agent.name
+        ))
+    });
+    differences.next()
+}
+
+/// Name and agents of the task; `None` if an external program offers it, which is not asked yet, or if it cannot be built, which
+/// is an error when the run starts.
+fn simulated(config: &RunConfig) -> Option<(String, Vec<AgentSpec>)> {
+    if !config.environment.url.is_empty() {
+        return None;
+    }
+    let world = sim::environments(&config.task, 1).ok()?;
+    let description = world.description();
+    Some((description.task.clone(), description.agents.clone()))
+}
+
+/// Names of what an agent observes and then of the joints that it moves.
+fn names(agent: &AgentSpec) -> Vec<&str> {
+    let observed = agent.observation.iter().map(|feature| feature.name.as_str());
+    observed.chain(agent.joints.iter().map(String::as_str)).collect()
+}
+
 fn named_policies(resolved: &Resolved) -> Result<Found, ConfigError> {
     found(resolved.text(START)).map_err(|why| {
         let detail = format!("{START}: {}", actor::causes(why.as_ref()));
@@ -87,7 +128,7 @@ fn named_policies(resolved: &Resolved) -> Result<Found, ConfigError> {
 fn found(named: &str) -> anyhow::Result<Found> {
     let mut path = shell::expanded(Path::new(named))?;
     if path.is_file() || path.ends_with(START_POLICIES) {
-        return Ok(Found { bytes: of_file(&path)?, norm: None });
+        return Ok(Found { bytes: of_file(&path)?, config: None });
     }
     let mut checkpoint = None;
     if let Some((run, which)) = named.rsplit_once(':').filter(|_| !path.exists()) {
@@ -95,8 +136,7 @@ fn found(named: &str) -> anyhow::Result<Found> {
         checkpoint = Some(which.into());
     }
     let trained = stored::trained(&ChosenArguments { run: Some(path), checkpoint }.path()?)?;
-    let norm = Some(trained.config.resolved.text(NORM).to_owned());
-    Ok(Found { bytes: trained.policy.to_bytes()?, norm })
+    Ok(Found { bytes: trained.policy.to_bytes()?, config: Some(trained.config) })
 }
 
 /// The encoded policies in a file.
@@ -132,7 +172,6 @@ pub(crate) fn take_kept(resolved: &mut Resolved, run: &Path) {
 mod tests {
     use super::*;
     use crate::config::Request;
-    use crate::config::run_config::RunConfig;
     use crate::run::{command, pretrained, resume};
 
     const TASK: &str = "halfcheetah-2x3";
@@ -192,6 +231,20 @@ mod tests {
         ] {
             let line = config(settings).unwrap_err();
             assert!(line.contains(words) && !line.contains('\n'), "{line}");
+        }
+    }
+
+    #[test]
+    fn policies_of_equal_sizes_but_another_robot_are_refused_with_the_first_names_that_differ() {
+        let refused = RunConfig::with(&["walker2d-2x3", "policy.start=halfcheetah-2x3"]);
+        let line = refused.unwrap_err().to_string();
+        let why = "the policies of halfcheetah-2x3 are for halfcheetah-2x3, whose agent_0 has `bthigh.position` where \
+                   that of walker2d-2x3 has `thigh.position`";
+        assert!(line.contains(why), "{line}");
+        for (task, same) in
+            [("halfcheetah-pushed-2x3", "halfcheetah-2x3"), ("carry-heavy-2x2", "carry-light-2x2")]
+        {
+            RunConfig::with(&[task, &format!("policy.start={same}")]).unwrap();
         }
     }
 

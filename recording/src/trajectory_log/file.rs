@@ -90,14 +90,15 @@ impl Origin {
 
 /// Shapes of the simulated robot and of what is fixed around it; empty for games and external environments.
 fn shapes(world: &dyn EnvironmentBatch) -> Vec<DrivenShape> {
-    let Some(robot) = world.robot() else { return Vec::new() };
+    let Some(simulated) = world.world(0) else { return Vec::new() };
     let pose = world.pose(0);
     let drivers = sim::drivers(world.description(), &pose);
     let driven = |shape: LinkShape| {
         let link = pose.links.iter().position(|link| link.name == shape.link);
         DrivenShape { driver: link.and_then(|link| drivers[link]), shape }
     };
-    robot.shapes().into_iter().chain(robot.fixed_shapes()).map(driven).collect()
+    let shapes = simulated.robot().shapes().into_iter();
+    shapes.chain(simulated.fixed_shapes()).map(driven).collect()
 }
 
 /// A log file being written.

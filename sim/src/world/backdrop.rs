@@ -1,11 +1,11 @@
-//! What is fixed to the world of a robot, for pictures.
+//! What is fixed to the world around a robot, at the heights of the current episode, for pictures.
 
 use std::sync::Arc;
 
 use rapier3d::math::{Pose, Vector};
 
-use super::Robot;
-use super::blueprint::{GroundForm, HeightField};
+use super::World;
+use crate::robot::{GroundForm, HeightField};
 use crate::scene::{Capsule, Hull, LinkShape, Shape, WORLD, parts};
 
 /// Most points of a drawn height field along x, and along y.
@@ -15,16 +15,16 @@ const LINE: f32 = 0.02;
 /// Largest coordinate and radius of what is drawn, m.
 const FARTHEST: f32 = 1e3;
 
-impl Robot {
+impl World {
     /// Shapes that are fixed to the world, in its frame, without planes. Height fields are meshes of limited size.
     pub fn fixed_shapes(&self) -> Vec<LinkShape> {
-        let grounds = self.blueprint.grounds.iter().filter_map(|ground| {
-            let shape = match &ground.form {
+        let grounds = self.grounds().filter_map(|(form, pose)| {
+            let shape = match form {
                 GroundForm::Plane => return None,
                 GroundForm::Solid(shape) => shape.clone(),
                 GroundForm::Field(field) => Shape::Hull(Arc::new(mesh(field))),
             };
-            let (position, quaternion) = parts(&ground.pose);
+            let (position, quaternion) = parts(&pose);
             Some(LinkShape { link: WORLD.to_owned(), shape, position, quaternion })
         });
         grounds.collect()
@@ -49,16 +49,28 @@ impl Robot {
         solid: impl Fn(&Shape, &Pose) -> Vec<Capsule>,
         field: impl Fn(&HeightField, &Pose) -> Vec<Capsule>,
     ) -> Vec<Capsule> {
-        let grounds = self.blueprint.grounds.iter().flat_map(|ground| match &ground.form {
+        let grounds = self.grounds().flat_map(|(form, pose)| match form {
             GroundForm::Plane => Vec::new(),
-            GroundForm::Solid(shape) => solid(shape, &ground.pose),
-            GroundForm::Field(heights) => field(heights, &ground.pose),
+            GroundForm::Solid(shape) => solid(shape, &pose),
+            GroundForm::Field(heights) => field(heights, &pose),
         });
         let is_near = |number: &f32| number.abs() <= FARTHEST;
         let is_drawn = |capsule: &Capsule| {
             is_near(&capsule.radius) && capsule.ends.as_flattened().iter().all(is_near)
         };
         grounds.filter(is_drawn).collect()
+    }
+
+    /// Forms and poses of what is fixed.
+    fn grounds(&self) -> impl Iterator<Item = (&GroundForm, Pose)> {
+        let rises = self.conditions.as_ref().map_or(&[][..], |conditions| &conditions.rises);
+        self.robot.blueprint.grounds.iter().enumerate().map(|(index, ground)| {
+            let mut pose = ground.pose;
+            if let Some((_, rise)) = rises.iter().find(|(raised, _)| *raised == index) {
+                pose.translation.z += rise;
+            }
+            (&ground.form, pose)
+        })
     }
 }
 
@@ -167,6 +179,8 @@ fn sampled(count: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::Robot;
+    use crate::world::EpisodeConditions;
 
     /// A floor, a step that is turned by a quarter about the vertical, and heights in m: 0, 0.2, 0.4 in the row
     /// with the larger y, 0.1, 0, 0.2 in the other.
@@ -176,8 +190,9 @@ mod tests {
         <geom type=\"hfield\" hfield=\"field\" pos=\"0 0 1\"/>\
         <body pos=\"0 0 3\"><freejoint/><geom size=\"0.1\"/></body></worldbody></mujoco>";
 
-    fn robot() -> Robot {
-        Robot::of_model("world.xml", |_| Ok(WORLD_OF_A_BALL.as_bytes().to_vec())).unwrap()
+    fn world() -> World {
+        let model = |_: &str| Ok(WORLD_OF_A_BALL.as_bytes().to_vec());
+        World::new(Arc::new(Robot::of_model("world.xml", model).unwrap()))
     }
 
     fn assert_near(found: &[f32], expected: &[f32]) {
@@ -188,8 +203,7 @@ mod tests {
 
     #[test]
     fn fixed_shapes_are_the_solids_and_a_mesh_of_each_height_field() {
-        let robot = robot();
-        let shapes = robot.fixed_shapes();
+        let shapes = world().fixed_shapes();
         let [step, field] = &shapes[..] else { panic!("{shapes:?}") };
         assert_eq!((step.link.as_str(), step.position), ("world", [5.0, 0.0, 0.1]));
         assert_eq!(step.shape, Shape::Box { half_sizes: [2.0, 0.3, 0.1] });
@@ -203,7 +217,7 @@ mod tests {
 
     #[test]
     fn from_the_side_a_step_is_a_bar_and_a_height_field_a_line_along_its_highest_points() {
-        let capsules = robot().fixed_capsules();
+        let capsules = world().fixed_capsules();
         let numbers: Vec<f32> = capsules
             .iter()
             .flat_map(|capsule| [capsule.ends.as_flattened(), &[capsule.radius]].concat())
@@ -218,7 +232,7 @@ mod tests {
 
     #[test]
     fn outlines_are_the_edges_of_a_box_and_the_rows_and_columns_of_a_height_field() {
-        let outlines = robot().fixed_outlines();
+        let outlines = world().fixed_outlines();
         let lengths: Vec<f32> = outlines
             .iter()
             .map(|line| {
@@ -232,6 +246,19 @@ mod tests {
         assert_near(rows[3].as_flattened(), &[0.0, -2.0, 1.0, 1.0, -2.0, 1.2]);
         // And a line along y for each of three columns.
         assert_eq!(outlines.len(), 19);
+    }
+
+    #[test]
+    fn a_shape_that_the_episode_raises_is_drawn_at_its_height() {
+        let mut world = world();
+        let conditions = EpisodeConditions { rises: vec![(1, 0.25)], ..Default::default() };
+        world.set_conditions(conditions);
+        let shapes = world.fixed_shapes();
+        assert_near(
+            &[shapes[0].position, shapes[1].position].concat(),
+            &[5.0, 0.0, 0.35, 0.0, 0.0, 1.0],
+        );
+        assert_near(&world.fixed_capsules()[0].ends[0], &[5.2, 0.0, 0.35]);
     }
 
     #[test]
