@@ -1,6 +1,7 @@
 //! What the Python module uses of this program: environments by the names and settings that commands take, and trained
 //! teams.
 
+mod agents;
 mod environments;
 mod teams;
 

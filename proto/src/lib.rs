@@ -6,6 +6,7 @@
 //! that names the field.
 
 mod acting;
+mod actuator;
 mod authorization;
 pub mod calls;
 mod digest;
@@ -32,6 +33,7 @@ pub mod wire;
 mod work;
 
 pub use acting::{ActStep, Acted, ActionChoice};
+pub use actuator::{ActivationKind, ActuatorKind, ActuatorSpec};
 pub use authorization::{AUTHORIZATION, Authorization};
 pub use calls::{
     Ack, AckState, Heartbeat, HeartbeatAnswer, LeaseAnswer, PushHeader, Registered, Registration,

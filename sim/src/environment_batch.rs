@@ -1,6 +1,6 @@
 //! The interface of vectorised environments, which `sim` or another program steps.
 
-use proto::{AgentSpec, EnvironmentSpec, EpisodePosition};
+use proto::{ActuatorSpec, AgentSpec, EnvironmentSpec, EpisodePosition};
 
 use crate::config::TaskConfig;
 use crate::environments::RobotEnvironments;
@@ -168,6 +168,11 @@ pub trait EnvironmentBatch: Send {
     /// Controls to which the actions -1 and 1 of an agent of a simulated robot are mapped, one pair for each number of its
     /// action; empty for games and external environments.
     fn control_ranges(&self, _agent: usize) -> Vec<[f32; 2]> {
+        Vec::new()
+    }
+
+    /// Actuators of a simulated robot that the numbers of an agent's action control; empty for games and external environments.
+    fn actuators(&self, _agent: usize) -> Vec<ActuatorSpec> {
         Vec::new()
     }
 

@@ -6,7 +6,7 @@ mod warnings;
 
 use std::sync::Arc;
 
-use proto::{EnvironmentSpec, EpisodePosition};
+use proto::{ActuatorSpec, EnvironmentSpec, EpisodePosition};
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
 use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions};
@@ -154,10 +154,12 @@ impl EnvironmentBatch for RobotEnvironments {
     }
 
     fn control_ranges(&self, agent: usize) -> Vec<[f32; 2]> {
-        let sizes = self.description.agents.iter().map(|agent| agent.action.size);
-        let first: usize = sizes.take(agent).sum();
-        let own = &self.motors[first..][..self.description.agents[agent].action.size];
-        own.iter().map(|driven| driven.range).collect()
+        self.driven(agent).iter().map(|driven| driven.range).collect()
+    }
+
+    fn actuators(&self, agent: usize) -> Vec<ActuatorSpec> {
+        let own = self.driven(agent).iter();
+        own.map(|driven| self.robot.actuator_spec(driven.motor)).collect()
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -251,6 +253,13 @@ impl EnvironmentBatch for RobotEnvironments {
 }
 
 impl RobotEnvironments {
+    /// The motors of an agent, in the order of its action.
+    fn driven(&self, agent: usize) -> &[Driven] {
+        let sizes = self.description.agents.iter().map(|agent| agent.action.size);
+        let first: usize = sizes.take(agent).sum();
+        &self.motors[first..][..self.description.agents[agent].action.size]
+    }
+
     /// Rebuilds a world from an encoded state. All resets and restores use this function.
     fn rebuild(&mut self, index: usize, bytes: &[u8]) -> Result<(), StateError> {
         let state = State::from_bytes(bytes, &self.bounds)?;

@@ -83,9 +83,9 @@ fn export(
     let mut files = Vec::new();
     for (index, (agent, described)) in snapshot.agents.iter().zip(&task.agents).enumerate() {
         let name = format!("agent_{index}.onnx");
-        let controls = world.robot().map(|_| world.control_ranges(index));
-        let about: BTreeMap<_, _> =
-            common.clone().into_iter().chain(about_agent(described, controls)).collect();
+        let controls = world.robot().map(|_| about_controls(world, index));
+        let about = about_agent(described).into_iter().chain(controls.into_iter().flatten());
+        let about: BTreeMap<_, _> = common.clone().into_iter().chain(about).collect();
         target::file(&folder.join(&name), &onnx::model(agent, &about).to_bytes())?;
         files.push((name, sizes(agent)));
     }
@@ -122,9 +122,8 @@ fn common(trained: &Trained, task: &EnvironmentSpec) -> BTreeMap<String, String>
     about
 }
 
-/// Metadata of one agent's model: the meaning of each input and output, and the limits of the action and, for a simulated
-/// robot, of the controls to which it is mapped.
-fn about_agent(agent: &AgentSpec, controls: Option<Vec<[f32; 2]>>) -> BTreeMap<String, String> {
+/// Metadata of one agent's model: the meaning of each input and output, and the limits of the action.
+fn about_agent(agent: &AgentSpec) -> BTreeMap<String, String> {
     let features: Vec<&String> = agent.observation.iter().map(|feature| &feature.name).collect();
     let limits = match agent.action.choices {
         Some(choices) => vec![("action_choices", choices.to_string())],
@@ -133,17 +132,22 @@ fn about_agent(agent: &AgentSpec, controls: Option<Vec<[f32; 2]>>) -> BTreeMap<S
             ("action_high", agent.action.high.to_string()),
         ],
     };
-    let controls = controls.map(|ranges| {
-        ("control_ranges", serde_json::to_string(&ranges).expect("ranges of a model are finite"))
-    });
     let words = [
         ("action_unit", agent.action.unit().to_owned()),
         ("agent", agent.name.clone()),
         ("observation_features", json!(features).to_string()),
         ("action_joints", json!(agent.joints).to_string()),
     ];
-    let words = words.into_iter().chain(limits).chain(controls);
+    let words = words.into_iter().chain(limits);
     words.map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+/// Metadata of the model of an agent of a simulated robot: the controls to which its actions are mapped, and the actuators.
+fn about_controls(world: &dyn EnvironmentBatch, agent: usize) -> [(String, String); 2] {
+    let ranges = serde_json::to_string(&world.control_ranges(agent));
+    let actuators = serde_json::to_string(&world.actuators(agent));
+    [("control_ranges", ranges), ("actuators", actuators)]
+        .map(|(name, text)| (name.to_owned(), text.expect("numbers of a model are finite")))
 }
 
 fn sizes(agent: &ActorPolicy) -> String {

@@ -11,7 +11,7 @@ use learner::lease::published::Published;
 use learner::serve::service::{ServedPolicies, serve_policies};
 use learner::store::run_folder::RunFolder;
 use policy::RunSeed;
-use proto::EnvironmentSpec;
+use proto::{ActuatorSpec, EnvironmentSpec};
 use tokio::sync::watch;
 
 use crate::endpoints::{Listening, ServerTlsArguments};
@@ -76,6 +76,8 @@ struct ServedRun {
     /// Of each agent.
     control_ranges: Vec<Vec<[f32; 2]>>,
     /// Of each agent.
+    actuators: Vec<Vec<ActuatorSpec>>,
+    /// Of each agent.
     hidden_sizes: Vec<u32>,
     newest: watch::Sender<Arc<Published>>,
 }
@@ -92,11 +94,21 @@ impl ServedRun {
         let hidden_sizes = trained.hidden_sizes(&environment.agents);
         let newest = Arc::new(policies(folder, &trained, &environment, &hidden_sizes)?);
         let newest = watch::Sender::new(newest);
-        let agents = 0..environment.agents.len();
-        let control_ranges = agents.map(|agent| hosted.environment.control_ranges(agent)).collect();
+        let (agents, world) = (0..environment.agents.len(), &hosted.environment);
+        let control_ranges = agents.clone().map(|agent| world.control_ranges(agent)).collect();
+        let actuators = agents.map(|agent| world.actuators(agent)).collect();
         let algorithm = trained.config.resolved.text("algorithm").to_owned();
         let (path, seed) = (folder.to_path_buf(), RunSeed(trained.config.run.seed));
-        Ok(Self { path, algorithm, seed, environment, control_ranges, hidden_sizes, newest })
+        Ok(Self {
+            path,
+            algorithm,
+            seed,
+            environment,
+            control_ranges,
+            actuators,
+            hidden_sizes,
+            newest,
+        })
     }
 
     /// The policies that the service hands out, always the newest loaded ones.
@@ -107,6 +119,7 @@ impl ServedRun {
             seed: self.seed,
             environment: self.environment.clone(),
             control_ranges: self.control_ranges.clone(),
+            actuators: self.actuators.clone(),
             newest: self.newest.subscribe(),
         }
     }

@@ -8,8 +8,10 @@ use anyhow::{Context as _, ensure};
 use policy::RunSeed;
 use policy::setting::between;
 use proto::EnvironmentSpec;
+use serde_json::json;
 use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, Robot, SimError};
 
+use super::agents;
 use crate::config::Request;
 use crate::config::message_steps::WINDOW;
 use crate::config::run_config::RunConfig;
@@ -107,23 +109,29 @@ impl Environments {
     }
 
     /// Description of the task.
-    pub fn task(&self) -> &EnvironmentSpec {
+    fn task(&self) -> &EnvironmentSpec {
         self.shares[0].world.description()
+    }
+
+    /// The task and its agents as JSON, as Python's `TaskSpec` has them.
+    pub fn about(&self) -> String {
+        let (task, world) = (self.task(), &*self.shares[0].world);
+        let state = task.state.iter().map(|feature| feature.name.as_str());
+        let about = json!({
+            "name": task.task,
+            "dt_secs": task.dt_secs,
+            "episode_steps": task.episode_steps,
+            "state": state.collect::<Vec<_>>(),
+            "reward_terms": task.reward_terms,
+            "joints": world.robot().map(Robot::effort_names).unwrap_or_default(),
+            "agents": agents::of_task(world),
+        });
+        about.to_string()
     }
 
     /// Number of environments `E`.
     pub fn count(&self) -> usize {
         self.shares.iter().map(|share| share.world.count()).sum()
-    }
-
-    /// Controls to which the actions -1 and 1 of an agent are mapped; empty for games.
-    pub fn control_ranges(&self, agent: usize) -> Vec<[f32; 2]> {
-        self.shares[0].world.control_ranges(agent)
-    }
-
-    /// Names of the joints that have efforts, `[J]`; none of a game.
-    pub fn effort_names(&self) -> Vec<String> {
-        self.shares[0].world.robot().map(Robot::effort_names).unwrap_or_default()
     }
 
     /// Starts the next episode of every environment or, with a seed, episode 0. `limits` are the steps until truncation, `[E]`;
@@ -182,7 +190,7 @@ impl Environments {
         each.flat_map(|(world, index)| world.reward_terms(index))
     }
 
-    /// Mean torques of the actuators in the last step, `[E, J]` in the order of [`Self::effort_names`], N m, or forces on slides,
+    /// Mean torques of the actuators in the last step, `[E, J]` in the order of [`Robot::effort_names`], N m, or forces on slides,
     /// N. 0 after a fault and after a reset.
     pub fn efforts(&self) -> impl Iterator<Item = &f32> {
         self.shares.iter().flat_map(|share| &share.efforts)

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use learner::store::run_folder::RunFolder;
 use policy::{ActorPolicy, Head, PolicySnapshot};
-use serde_json::json;
+use serde_json::{Value, json};
 use sim::EnvironmentBatch;
 
+use super::agents;
 use crate::run::chosen::{ChosenArguments, Which};
 use crate::run::pretrained::{TeamRecord, team_record};
 use crate::run::stored::{self, Trained};
@@ -49,8 +50,9 @@ fn described(
     let hosted = simulated.then(|| trained.environment()).transpose()?;
     let world = hosted.as_ref().map(|hosted| hosted.environment.as_ref());
     let spec = world.map(EnvironmentBatch::description);
-    let agents = trained.policy.agents.iter().enumerate();
-    let agents = agents.map(|(index, policy)| about_agent(index, policy, world));
+    let policies = &trained.policy.agents;
+    let agents = world.map_or_else(|| agents::of_policies(policies), agents::of_task);
+    let agents = agents.into_iter().zip(policies).map(with_policy);
     let description = json!({
         "run": run_path::name(&RunFolder::of(run)),
         "task": spec.map_or_else(|| config.resolved.text("task"), |spec| &spec.task),
@@ -65,30 +67,17 @@ fn described(
     Ok((trained.policy, description.to_string()))
 }
 
-/// One agent. Only the program of an external environment knows names and limits.
-fn about_agent(
-    index: usize,
-    policy: &ActorPolicy,
-    world: Option<&dyn EnvironmentBatch>,
-) -> serde_json::Value {
-    let spec = world.map(|world| &world.description().agents[index]);
-    let names = spec.map(|spec| spec.observation.iter().map(|feature| &feature.name));
-    let (distribution, choices) = match policy.head() {
-        Head::Gaussian | Head::SharedGaussian(_) => ("gaussian", None),
-        Head::Categorical { choices } => ("categorical", Some(choices)),
-        Head::Deterministic { .. } => ("clamped_gaussian", None),
-        Head::Uniform { .. } => ("uniform", None),
-        Head::TanhGaussian { .. } => ("tanh_gaussian", None),
+/// An agent with its policy.
+fn with_policy((mut agent, policy): (Value, &ActorPolicy)) -> Value {
+    let distribution = match policy.head() {
+        Head::Gaussian | Head::SharedGaussian(_) => "gaussian",
+        Head::Categorical { .. } => "categorical",
+        Head::Deterministic { .. } => "clamped_gaussian",
+        Head::Uniform { .. } => "uniform",
+        Head::TanhGaussian { .. } => "tanh_gaussian",
     };
-    json!({
-        "name": spec.map_or_else(|| format!("agent_{index}"), |spec| spec.name.clone()),
-        "observation_size": policy.observation_size(),
-        "features": names.into_iter().flatten().collect::<Vec<_>>(),
-        "joints": spec.map_or(&[][..], |spec| &spec.joints),
-        "action_size": policy.action_size(),
-        "choices": choices,
-        "control_ranges": world.map(|world| world.control_ranges(index)).unwrap_or_default(),
-        "distribution": distribution,
-        "hidden_size": policy.hidden_size(),
-    })
+    agent["observation_size"] = policy.observation_size().into();
+    agent["distribution"] = distribution.into();
+    agent["hidden_size"] = policy.hidden_size().into();
+    agent
 }

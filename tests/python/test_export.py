@@ -120,6 +120,9 @@ def test_the_model_names_its_inputs_and_outputs(exported, tasks):
         assert limits == [agent["action"]["low"], agent["action"]["high"]]
         assert about["action_unit"] == "half_range"
         assert json.loads(about["control_ranges"]) == [[-1, 1]] * len(agent["joints"])
+        (actuator,) = json.loads(about["actuators"])
+        gears = {"bthigh": 120, "bshin": 90, "bfoot": 60, "fthigh": 120, "fshin": 60, "ffoot": 30}
+        assert [actuator[name] for name in ("kind", "gear", "kp")] == ["motor", gears[agent["joints"][0]], 0]
 
 
 def test_the_documented_examples_run(exported, monkeypatch, capsys):

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use policy::{Draw, DrawKey, PolicySnapshot, Purpose, RunSeed};
 use proto::wire::policy_service_client::PolicyServiceClient;
-use proto::{ActStep, Acted, ActionChoice, AgentSpec, Reason, Refusal, WeightsName, wire};
+use proto::{
+    ActStep, Acted, ActionChoice, ActuatorSpec, AgentSpec, Reason, Refusal, WeightsName, wire,
+};
 use sim::{EnvironmentBatch, Outcome};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -192,16 +194,18 @@ async fn the_service_describes_its_agents_and_weights() {
     let bytes = learner::store::checkpoint::load_newest(folder).unwrap().checkpoint.policy;
     assert_eq!(weights.digest.0, policy::digest(&bytes));
     assert_eq!(weights.version.0, inspect(folder)["iteration"]);
-    let environment = world(folder).description().clone();
-    let agent = |agent: &AgentSpec| wire::PolicyAgent {
+    let world = world(folder);
+    let environment = world.description().clone();
+    let agent = |(index, agent): (usize, &AgentSpec)| wire::PolicyAgent {
         agent: Some(agent.to_wire()),
         hidden_size: 8,
         distribution: wire::ActionDistribution::Gaussian.into(),
         control_ranges: vec![wire::ControlRange { low: -1.0, high: 1.0 }; agent.joints.len()],
+        actuators: world.actuators(index).iter().map(ActuatorSpec::to_wire).collect(),
     };
     let expected = wire::DescribePolicyResponse {
         run_id: "trained".to_owned(),
-        agents: environment.agents.iter().map(agent).collect(),
+        agents: environment.agents.iter().enumerate().map(agent).collect(),
         task: environment.task,
         weights: Some(weights.to_wire()),
         dt_secs: environment.dt_secs,
@@ -210,7 +214,7 @@ async fn the_service_describes_its_agents_and_weights() {
     };
     assert_eq!(described, expected);
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    let seen = observations(&*world(folder));
+    let seen = observations(&*world);
     assert_eq!(acting.step(next(seen)).await.weights, weights);
 }
 

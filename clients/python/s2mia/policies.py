@@ -10,7 +10,7 @@ import numpy as np
 from s2mia._native import Team as Native
 from s2mia.acting import Acting, Agent, Description
 from s2mia.error import RunError
-from s2mia.values import Numbers, checked_seed
+from s2mia.values import Numbers, agent_fields, checked_seed
 
 
 class Policies(Acting):
@@ -18,7 +18,7 @@ class Policies(Acting):
 
     def __init__(self, native: Native) -> None:
         about: dict[str, Any] = json.loads(native.description)
-        agents = [Agent(**agent) for agent in about.pop("agents")]
+        agents = [Agent(**agent_fields(own)) for own in about.pop("agents")]
         super().__init__(Description(agents=agents, **about))
         self._native = native
 

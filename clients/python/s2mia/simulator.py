@@ -1,5 +1,6 @@
 """The program's simulator: what the environments of PettingZoo and Gymnasium have in common."""
 
+import json
 import os
 import struct
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from s2mia._native import Environments
 from s2mia.settings import arguments
-from s2mia.values import AgentSpec, Numbers, checked_seed, whole
+from s2mia.values import AgentSpec, Numbers, agent_fields, checked_seed, whole
 
 RENDER_MODE = "rgb_array"
 _REWARD = struct.Struct("<f")
@@ -52,8 +53,9 @@ class Simulator:
         seeded = {} if own is None else {"run__seed": own}
         self.num_envs = num_envs
         self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
-        *about, agents = self.native.task()
-        self.task = TaskSpec(*about, [AgentSpec(*agent) for agent in agents])
+        about: dict[str, Any] = json.loads(self.native.task())
+        agents = [AgentSpec(**agent_fields(own)) for own in about.pop("agents")]
+        self.task = TaskSpec(agents=agents, **about)
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""

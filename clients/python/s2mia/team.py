@@ -7,7 +7,7 @@ from typing import Any
 from s2mia import wire
 from s2mia.acting import Acting, Agent, Description
 from s2mia.connection import Connection, Tls
-from s2mia.values import Numbers, checked_seed
+from s2mia.values import Actuator, Numbers, checked_seed
 
 
 class Team(Acting):
@@ -99,6 +99,31 @@ def _agent(own: Any) -> Agent:
         action_size=own.agent.action.size,
         choices=own.agent.action.choices or None,
         control_ranges=[[range.low, range.high] for range in own.control_ranges],
+        actuators=[_actuator(actuator) for actuator in own.actuators],
         distribution=wire.ActionDistribution.Name(own.distribution).removeprefix("ACTION_DISTRIBUTION_").lower(),
         hidden_size=own.hidden_size,
+    )
+
+
+def _actuator(own: Any) -> Actuator:
+    def ends(name: str) -> list[float] | None:
+        limits = getattr(own, name)
+        return [limits.low, limits.high] if own.HasField(name) else None
+
+    activation = wire.ActivationKind.Name(own.activation).removeprefix("ACTIVATION_KIND_").lower()
+    return Actuator(
+        name=own.name,
+        joint=own.joint,
+        kind=wire.ActuatorKind.Name(own.kind).removeprefix("ACTUATOR_KIND_").lower(),
+        control_limits=[own.control_limits.low, own.control_limits.high],
+        gear=own.gear,
+        gain=own.gain,
+        constant=own.constant,
+        kp=own.kp,
+        kd=own.kd,
+        force_range=ends("force_range"),
+        torque_range=ends("torque_range"),
+        activation=activation if own.activation else None,
+        time_constant_secs=own.time_constant_secs if own.HasField("time_constant_secs") else None,
+        activation_range=ends("activation_range"),
     )

@@ -1,4 +1,4 @@
-"""What the simulator and teams have in common: agents, and the checks of seeds and arrays that users give."""
+"""What the simulator and teams have in common: agents, their actuators, and the checks of seeds and arrays that users give."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +7,45 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Numbers = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """An actuator, which one number of an action controls.
+
+    With the control `c`, and `q` and `v` for `gear` times the position and speed of the joint, as agents observe them, the force
+    is `gain * c + constant - kp * q - kd * v`, within `force_range`. The torque is `gear` times the force, N m; on a slide or
+    tendon a force, N. `None` is no limit.
+    """
+
+    name: str
+    """That of its joint, unless the model states one or the joint has several."""
+    joint: str
+    """Joint or tendon that it acts on."""
+    kind: str
+    """`motor`: the force depends on the control only; `position`: `kp * (c - q) - kd * v`; `velocity`: `kd * (c - v)`; `general`."""
+    control_limits: list[float]
+    """Range to which the control is clamped."""
+    gear: float
+    """N m per unit of force."""
+    gain: float
+    """Force per unit of the control."""
+    constant: float
+    """Force without a control, position and speed."""
+    kp: float
+    """Force per unit of `q`, such as N m/rad."""
+    kd: float
+    """Force per unit of `v`, such as N m s/rad."""
+    force_range: list[float] | None
+    """Range to which the force is clamped."""
+    torque_range: list[float] | None
+    """Range to which the joint clamps the sum of its actuators' torques, N m or N."""
+    activation: str | None
+    """MuJoCo's `dyntype`, `integrator`, `filter` or `filterexact`, of an activation that takes the place of `c`."""
+    time_constant_secs: float | None
+    """Of a filter."""
+    activation_range: list[float] | None
+    """Range to which the activation is clamped."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +63,13 @@ class AgentSpec:
     """Choices of a discrete action, which is one number."""
     control_ranges: list[list[float]]
     """Controls for the actions -1 and 1, a pair for each number; none in a game."""
+    actuators: list[Actuator]
+    """Those that these numbers control."""
+
+
+def agent_fields(about: dict[str, Any]) -> dict[str, Any]:
+    """The fields of an agent that the native module describes."""
+    return {**about, "actuators": [Actuator(**own) for own in about["actuators"]]}
 
 
 def whole(name: str, value: Any, least: int, most: int) -> int:

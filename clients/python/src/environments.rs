@@ -10,14 +10,6 @@ use sim::{Disturbances, Outcome};
 
 use crate::arrays::{bytes, numbers, refused};
 
-/// An agent: name, joints, features of its observation, size of its action, choices of a discrete one, and the controls to
-/// which the actions -1 and 1 are mapped.
-type Agent = (String, Vec<String>, Vec<String>, usize, Option<u32>, Vec<[f32; 2]>);
-
-/// A task: name, seconds of a step, steps of an episode, features of the global state, terms of the reward, joints with efforts,
-/// and the agents.
-type Task = (String, f64, u32, Vec<String>, Vec<String>, Vec<String>, Vec<Agent>);
-
 /// `E` environments of one task, stepped together. Arrays are bytes: little-endian f32, and truth values of one byte.
 #[pyclass(module = "s2mia._native", frozen)]
 pub(crate) struct Environments {
@@ -44,22 +36,9 @@ impl Environments {
         Ok(Self { inner: Mutex::new(inner.map_err(refused)?) })
     }
 
-    /// The task.
-    fn task(&self, py: Python<'_>) -> PyResult<Task> {
-        self.locked(py, |inner| {
-            let task = inner.task();
-            let agents = task.agents.iter().enumerate().map(|(index, spec)| {
-                let features =
-                    spec.observation.iter().map(|feature| feature.name.clone()).collect();
-                let (name, joints, action) = (spec.name.clone(), spec.joints.clone(), spec.action);
-                (name, joints, features, action.size, action.choices, inner.control_ranges(index))
-            });
-            let state = task.state.iter().map(|feature| feature.name.clone()).collect();
-            let (name, terms, agents) =
-                (task.task.clone(), task.reward_terms.clone(), agents.collect());
-            let joints = inner.effort_names();
-            Ok((name, task.dt_secs, task.episode_steps, state, terms, joints, agents))
-        })
+    /// The task and its agents as JSON.
+    fn task(&self, py: Python<'_>) -> PyResult<String> {
+        self.locked(py, |inner| Ok(inner.about()))
     }
 
     /// Starts the next episodes or, with a seed, episode 0. `limits` are the steps until truncation, `[E]`; empty: the task's.

@@ -1,5 +1,7 @@
 //! Activations: what an actuator keeps between steps, which its gain multiplies instead of the control.
 
+use proto::ActivationKind;
+
 /// How MuJoCo's activation of an actuator follows its control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Activation {
@@ -12,17 +14,6 @@ pub(crate) struct Activation {
     pub(crate) is_early: bool,
 }
 
-/// MuJoCo's `dyntype`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum ActivationKind {
-    /// `dw/dt = c`.
-    Integrator,
-    /// `dw/dt = (c - w) / time constant`, by the model's integrator.
-    Filter,
-    /// The same, exactly for a constant control.
-    ExactFilter,
-}
-
 /// Largest activation of a model that does not limit it, as that of the controls in a state.
 const LARGEST: f32 = 1e9;
 
@@ -31,7 +22,7 @@ impl Activation {
     pub(crate) fn rate(&self, activation: f32, control: f32) -> f32 {
         match self.kind {
             ActivationKind::Integrator => control,
-            ActivationKind::Filter | ActivationKind::ExactFilter => {
+            ActivationKind::Filter | ActivationKind::FilterExact => {
                 (control - activation) / self.time_constant_secs
             }
         }
@@ -41,7 +32,7 @@ impl Activation {
     pub(crate) fn next(&self, activation: f32, rate: f32, step_secs: f32) -> f32 {
         let secs = match self.kind {
             ActivationKind::Integrator | ActivationKind::Filter => step_secs,
-            ActivationKind::ExactFilter => {
+            ActivationKind::FilterExact => {
                 -libm::expm1f(-step_secs / self.time_constant_secs) * self.time_constant_secs
             }
         };
@@ -67,7 +58,7 @@ mod tests {
     fn activations_follow_their_controls_as_in_mujoco() {
         for (kind, range, expected) in [
             (ActivationKind::Filter, None, 0.268_133_9),
-            (ActivationKind::ExactFilter, None, 0.263_743_97),
+            (ActivationKind::FilterExact, None, 0.263_743_97),
             (ActivationKind::Integrator, None, 0.016),
             (ActivationKind::Integrator, Some([-0.01, 0.01]), 0.01),
         ] {

@@ -1,7 +1,9 @@
-//! Actuators as they are shown to people: what they act on, their controls, and their largest torques.
+//! Actuators as they are shown to people: what they act on, their controls, and their largest torques; and their laws.
+
+use proto::{ActivationKind, ActuatorKind, ActuatorSpec};
 
 use super::Robot;
-use super::blueprint::MotorPlan;
+use super::blueprint::{MotorPlan, Servo};
 
 /// An actuator of a robot.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +54,45 @@ impl Robot {
             let (name, joint) = (&motor.name, &motor.joint);
             Actuator { name, joint, moved, control: motor.range, torque }
         })
+    }
+}
+
+impl Robot {
+    /// The law of the actuator with this index in the model.
+    pub(crate) fn actuator_spec(&self, index: usize) -> ActuatorSpec {
+        let motor = &self.blueprint.motors[index];
+        let direct = Servo { gain: 1.0, bias: [0.0; 3], range: None };
+        let Servo { gain, bias, range } = motor.servo.unwrap_or(direct);
+        let [constant, stiffness, slope] = bias;
+        // The difference from 0 is never -0.
+        let (kp, kd) = (0.0 - stiffness, 0.0 - slope);
+        let kind = if kp == 0.0 && kd == 0.0 {
+            ActuatorKind::Motor
+        } else if kp != 0.0 && gain == kp {
+            ActuatorKind::Position
+        } else if kp == 0.0 && gain == kd {
+            ActuatorKind::Velocity
+        } else {
+            ActuatorKind::General
+        };
+        let joint = motor.moved.only_hinge().filter(|_| motor.tendon.is_none());
+        let filter = motor.activation.filter(|own| own.kind != ActivationKind::Integrator);
+        ActuatorSpec {
+            name: motor.name.clone(),
+            joint: motor.joint.clone(),
+            kind,
+            control_limits: motor.range,
+            gear: motor.gear,
+            gain,
+            constant,
+            kp,
+            kd,
+            force_range: range,
+            torque_range: joint.and_then(|hinge| self.layout.hinges[hinge].plan.torque_range),
+            activation: motor.activation.map(|own| own.kind),
+            time_constant_secs: filter.map(|own| own.time_constant_secs),
+            activation_range: motor.activation.and_then(|own| own.range),
+        }
     }
 }
 

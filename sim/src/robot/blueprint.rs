@@ -2,10 +2,11 @@
 
 mod contacts;
 
+use proto::ActivationKind;
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
-use super::activation::{Activation, ActivationKind};
+use super::activation::Activation;
 use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan};
 use super::fluid::Fluid;
 use super::softness::{Integration, Softness, SoftnessOverride};

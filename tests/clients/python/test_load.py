@@ -4,10 +4,11 @@ import hashlib
 import re
 import shutil
 
+import mujoco
 import numpy as np
 import pytest
 import s2mia
-from conftest import HASAC, ROBOT, SMALL, s2mia_run
+from conftest import HASAC, ROBOT, ROOT, SMALL, s2mia_run
 from s2mia.cue import Cue
 from safetensors.numpy import load_file
 
@@ -101,11 +102,31 @@ def test_a_team_says_what_it_is(played):
     assert team.description.seed == (7 if robot else 3)
     for agent in team.agents:
         assert agent.observation_size == len(agent.features) == observations[agent.name].shape[1]
-        assert len(agent.joints) == len(agent.control_ranges) == (1 if robot else 0)
+        assert len(agent.joints) == len(agent.control_ranges) == len(agent.actuators) == (1 if robot else 0)
         assert agent.choices == (None if robot else 3)
     if robot:
         assert team.agents[0].joints == ["bthigh"] and team.agents[0].control_ranges == [[-1, 1]]
         assert "bthigh.velocity" in team.agents[0].features and team.description.dt_secs == 0.05
+
+
+def test_actuators_have_the_numbers_and_the_law_of_the_model_in_mujoco():
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "sim" / "assets" / "quadruped.xml"))
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    data.qpos[7:], data.qvel[6:], data.ctrl[:] = rng.uniform(-1, 1, 12), rng.uniform(-9, 9, 12), rng.uniform(-2, 2, 12)
+    mujoco.mj_forward(model, data)
+    agents = s2mia.pretrained("quadruped-4x3").agents
+    assert agents[0].actuators == s2mia.parallel_env("quadruped-4x3").task.agents[0].actuators
+    actuators = [own for agent in agents for own in agent.actuators]
+    assert len(actuators) == model.nu == 12
+    for own in actuators:
+        row, joint = model.actuator(own.name), data.joint(own.joint)
+        assert (own.kind, own.gear, own.torque_range, own.activation) == ("position", row.gear[0], None, None)
+        assert [own.gain, own.constant, -own.kp, -own.kd] == [row.gainprm[0], *row.biasprm[:3]]
+        assert own.force_range == row.forcerange.tolist() and own.control_limits == pytest.approx(row.ctrlrange)
+        control = np.clip(data.actuator(own.name).ctrl[0], *own.control_limits)
+        position, speed = own.gear * joint.qpos[0], own.gear * joint.qvel[0]
+        force = np.clip(own.gain * control + own.constant - own.kp * position - own.kd * speed, *own.force_range)
+        assert own.gear * force == pytest.approx(joint.qfrc_actuator[0], abs=1e-4)
 
 
 def test_actions_of_different_sizes_are_padded_in_arrays_as_in_the_simulator(tmp_path):

@@ -140,11 +140,13 @@ def test_the_example_plays_a_trained_team(trained, tmp_path):
 
 def test_the_documented_examples_run(serve, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    training, policies, tables, learner = examples("Python package")
+    training, policies, servos, tables, learner = examples("Python package")
     exec(training, {})
     assert re.search(r"runs/cue [\d.]+\nevaluations: \[[\d.]+", capsys.readouterr().out)
     exec(policies, {})
     assert re.search(r"most likely choices: \{'agent_0': np.int64\(\d\), 'agent_1': ", capsys.readouterr().out)
+    exec(servos, {})
+    assert re.match(r"front_left_hip position 40.0 1.0 targets \(-?[\d.]+, [\d.]+\) N m \[-33.0, 33.0\]", capsys.readouterr().out)
     exec(tables, {})
     assert re.search(r"algorithm +happo-s2mia", capsys.readouterr().out)
     started = serve("live", [*SMALL, "run.iterations=1000", "evaluation.every_steps=0"])

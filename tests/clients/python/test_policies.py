@@ -4,7 +4,7 @@ import grpc
 import numpy as np
 import pytest
 import s2mia
-from conftest import refusal
+from conftest import Serving, refusal
 from s2mia import Team, wire
 from s2mia.cue import Cue
 
@@ -24,6 +24,17 @@ def team(policies):
     yield act
     for one in opened:
         one.close()
+
+
+def test_a_served_team_has_the_agents_of_the_loaded_one():
+    server = Serving("quadruped-4x3")
+    try:
+        with Team(server.address) as team:
+            assert team.agents == s2mia.pretrained("quadruped-4x3").agents
+    finally:
+        server.process.kill()
+        server.process.wait()
+        server.process.stdout.close()
 
 
 def play(team, seed: int) -> tuple[list[list[int]], float]:

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use policy::{ActorPolicy, Head, RunSeed, Team};
 use proto::wire::policy_service_server::{self, PolicyService, PolicyServiceServer};
-use proto::{ActStep, Acted, ActionChoice, EnvironmentSpec, MAX_MESSAGE_BYTES, Refusal, wire};
+use proto::{
+    ActStep, Acted, ActionChoice, ActuatorSpec, EnvironmentSpec, MAX_MESSAGE_BYTES, Refusal, wire,
+};
 use security::Role;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
@@ -43,6 +45,8 @@ pub struct ServedPolicies {
     pub environment: EnvironmentSpec,
     /// For each agent, the controls for the actions -1 and 1 of each number of its action; empty without a simulated robot.
     pub control_ranges: Vec<Vec<[f32; 2]>>,
+    /// For each agent, the actuators that these numbers control.
+    pub actuators: Vec<Vec<ActuatorSpec>>,
     /// The newest version of the policies.
     pub newest: watch::Receiver<Arc<Published>>,
 }
@@ -202,12 +206,13 @@ impl ServedPolicies {
         let newest = self.newest.borrow();
         let range = |[low, high]: &[f32; 2]| wire::ControlRange { low: *low, high: *high };
         let agents = self.environment.agents.iter().zip(&newest.policy.agents);
-        let agents = agents.zip(&self.control_ranges);
-        let agents = agents.map(|((agent, policy), ranges)| wire::PolicyAgent {
+        let agents = agents.zip(self.control_ranges.iter().zip(&self.actuators));
+        let agents = agents.map(|((agent, policy), (ranges, actuators))| wire::PolicyAgent {
             agent: Some(agent.to_wire()),
             hidden_size: policy.hidden_size() as u32,
             distribution: distribution(policy.head()).into(),
             control_ranges: ranges.iter().map(range).collect(),
+            actuators: actuators.iter().map(ActuatorSpec::to_wire).collect(),
         });
         wire::DescribePolicyResponse {
             run_id: self.run_id.clone(),

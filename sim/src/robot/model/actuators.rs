@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::super::activation::{Activation, ActivationKind};
+use proto::ActivationKind;
+
+use super::super::activation::Activation;
 use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan};
 use super::super::document::{Element, bounds};
@@ -259,7 +261,7 @@ fn activation(element: &Element, context: &Context) -> Result<Option<Activation>
         ("none", None),
         ("integrator", Some(ActivationKind::Integrator)),
         ("filter", Some(ActivationKind::Filter)),
-        ("filterexact", Some(ActivationKind::ExactFilter)),
+        ("filterexact", Some(ActivationKind::FilterExact)),
     ];
     let kind = match (element.word("dyntype", &kinds)?, range) {
         (Some(kind), _) => kind,

@@ -1,13 +1,73 @@
 //! Tests of what vendors' models contain: markers, missing control ranges, flags, and messages of several lines.
 
-use super::{LOPSIDED, document, robot, robot_of_files};
-use crate::robot::one_document;
+use proto::{ActivationKind, ActuatorKind, ActuatorSpec};
 
-/// Control range of the actuator of a joint from -0.5 to 1.5, whose torque is at most 20 N m.
-fn range(actuator: &str) -> [f32; 2] {
+use super::{LOPSIDED, document, robot, robot_of_files};
+use crate::robot::{Robot, one_document};
+
+/// A robot with an actuator of a joint from -0.5 to 1.5, whose torque is at most 20 N m.
+fn driven(actuator: &str) -> Robot {
     let body = "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\" range=\"-0.5 1.5\" actuatorfrcrange=\"-20 20\"/>\
         <geom size=\"0.1\"/></body>";
-    robot(&document(body, actuator)).unwrap().actuators().next().unwrap().control
+    robot(&document(body, actuator)).unwrap()
+}
+
+/// Control range of such an actuator.
+fn range(actuator: &str) -> [f32; 2] {
+    driven(actuator).actuators().next().unwrap().control
+}
+
+#[test]
+fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
+    let motor = ActuatorSpec {
+        name: "j".to_owned(),
+        joint: "j".to_owned(),
+        kind: ActuatorKind::Motor,
+        control_limits: [-1.0, 1.0],
+        gear: 4.0,
+        gain: 1.0,
+        constant: 0.0,
+        kp: 0.0,
+        kd: 0.0,
+        force_range: None,
+        torque_range: Some([-20.0, 20.0]),
+        activation: None,
+        time_constant_secs: None,
+        activation_range: None,
+    };
+    let servo = ActuatorSpec {
+        kind: ActuatorKind::Position,
+        gain: 50.0,
+        kp: 50.0,
+        kd: 3.0,
+        force_range: Some([-5.0, 6.0]),
+        ..motor.clone()
+    };
+    let speed = ActuatorSpec { kind: ActuatorKind::Velocity, gain: 7.0, kd: 7.0, ..motor.clone() };
+    let general = ActuatorSpec {
+        kind: ActuatorKind::General,
+        gain: 9.0,
+        constant: 2.0,
+        kp: 50.0,
+        kd: 3.0,
+        activation: Some(ActivationKind::FilterExact),
+        time_constant_secs: Some(0.25),
+        activation_range: Some([-2.0, 2.0]),
+        ..motor.clone()
+    };
+    for (actuator, expected) in [
+        ("motor", motor),
+        ("position kp=\"50\" kv=\"3\" forcerange=\"-5 6\"", servo),
+        ("velocity kv=\"7\"", speed),
+        (
+            "general gainprm=\"9\" biastype=\"affine\" biasprm=\"2 -50 -3\" dyntype=\"filterexact\" dynprm=\"0.25\" \
+             actrange=\"-2 2\"",
+            general,
+        ),
+    ] {
+        let actuator = format!("<{actuator} joint=\"j\" gear=\"4\" ctrlrange=\"-1 1\"/>");
+        assert_eq!(driven(&actuator).actuator_spec(0), expected, "{actuator}");
+    }
 }
 
 #[test]
