@@ -24,7 +24,7 @@ use on_policy::OnPolicy;
 /// The configured learning rule, with weights initialised by `seed`. The caller has checked that agents with shared
 /// parameters have equal shapes, that with MADDPG and HASAC no action is a choice, that with the estimator `count` all
 /// are, that with the estimator `exact` agents share noise, that the replay holds at least one step of all environments,
-/// and that with HASAC the policies are not recurrent.
+/// and that with HASAC the policies are not recurrent and loadings of shared noise are constant.
 ///
 /// # Errors
 /// If a tensor operation fails.

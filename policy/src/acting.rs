@@ -93,10 +93,15 @@ impl ActorPolicy {
                 log_std.iter().map(|&x| kernels::sigmoid(x) * spec.sigma_scale).collect()
             }
         };
-        let given_signal = match spec.head().shared_noise() {
-            None => None,
-            Some(noise) if noise.loading.is_some() => Some(GivenSignal::new(noise, &sigma, None)),
-            Some(noise) => {
+        let given_signal = match (spec.head(), spec.head().shared_noise()) {
+            (_, None) => None,
+            (Head::TanhGaussian { .. }, Some(noise)) => {
+                Some(GivenSignal::new(noise, &vec![1.0; spec.action], None))
+            }
+            (_, Some(noise)) if noise.loading.is_some() => {
+                Some(GivenSignal::new(noise, &sigma, None))
+            }
+            (_, Some(noise)) => {
                 let u = reader.matrix("head.loading", [spec.action, noise.size])?;
                 Some(GivenSignal::new(noise, &sigma, Some(&u)))
             }
@@ -178,7 +183,7 @@ impl ActorPolicy {
     pub fn uniform(mut self) -> Self {
         let (Head::Deterministic { low, high, .. }
         | Head::Uniform { low, high }
-        | Head::TanhGaussian { low, high }) = self.head()
+        | Head::TanhGaussian { low, high, .. }) = self.head()
         else {
             panic!("{:?} has no range to draw from", self.head())
         };

@@ -121,11 +121,14 @@ impl PolicyConfig {
         }
     }
 
-    /// The distribution of a policy: `head`, with the configured noise if it is a Gaussian.
+    /// The distribution of a policy: `head`, with the configured noise if it is a Gaussian, also before tanh.
     #[must_use]
     pub fn with_noise(&self, head: Head) -> Head {
         match (self.noise, head) {
             (Some(Noise::Shared), Head::Gaussian) => Head::SharedGaussian(self.shared_noise()),
+            (Some(Noise::Shared), Head::TanhGaussian { low, high, .. }) => {
+                Head::TanhGaussian { low, high, noise: Some(self.shared_noise()) }
+            }
             _ => head,
         }
     }

@@ -48,6 +48,9 @@ pub enum Head {
         low: f32,
         /// Highest action.
         high: f32,
+        /// How agents share a part of the noise, with constant loadings; absent if it is independent.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        noise: Option<SharedNoise>,
     },
 }
 
@@ -85,7 +88,21 @@ impl Head {
     pub fn shared_noise(self) -> Option<SharedNoise> {
         match self {
             Self::SharedGaussian(noise) => Some(noise),
+            Self::TanhGaussian { noise, .. } => noise,
             _ => None,
+        }
+    }
+
+    /// The same distribution with this fraction of the loadings of shared noise.
+    #[must_use]
+    pub fn with_noise_share(self, share: f32) -> Self {
+        let scaled = |noise: SharedNoise| noise.scaled(share);
+        match self {
+            Self::SharedGaussian(noise) => Self::SharedGaussian(scaled(noise)),
+            Self::TanhGaussian { low, high, noise } => {
+                Self::TanhGaussian { low, high, noise: noise.map(scaled) }
+            }
+            other => other,
         }
     }
 
@@ -109,7 +126,11 @@ impl Head {
             Self::Deterministic { noise_sigma, low, high } => {
                 range(low, high) && noise_sigma > 0.0 && noise_sigma.is_finite()
             }
-            Self::Uniform { low, high } | Self::TanhGaussian { low, high } => range(low, high),
+            Self::Uniform { low, high } => range(low, high),
+            Self::TanhGaussian { low, high, noise } => {
+                range(low, high)
+                    && noise.is_none_or(|noise| noise.is_valid() && noise.loading.is_some())
+            }
         };
         if holds {
             return Ok(());
@@ -136,8 +157,9 @@ impl Head {
         let pairs = action.iter_mut().zip(means);
         match self {
             Self::Categorical { .. } => action[0] = categorical::draw(output, rng) as f32,
-            Self::TanhGaussian { low, high } => {
-                tanh_gaussian::draw(output, (low, high), rng, action);
+            Self::TanhGaussian { low, high, noise } => {
+                let own = noise.map_or(1.0, SharedNoise::own_part);
+                tanh_gaussian::draw(output, ((low, high), own), rng, action);
             }
             Self::Uniform { low, high } => {
                 pairs.for_each(|(action, _)| *action = low + (high - low) * uniform(rng));
@@ -157,7 +179,9 @@ impl Head {
     pub(crate) fn mode(self, output: &[f32], action: &mut [f32]) {
         match self {
             Self::Categorical { .. } => action[0] = categorical::mode(output) as f32,
-            Self::TanhGaussian { low, high } => tanh_gaussian::mode(output, (low, high), action),
+            Self::TanhGaussian { low, high, .. } => {
+                tanh_gaussian::mode(output, (low, high), action)
+            }
             _ => action.copy_from_slice(output),
         }
     }
@@ -170,8 +194,9 @@ impl Head {
             }
             Self::Categorical { .. } => categorical::log_prob(output, action[0] as usize),
             Self::Uniform { low, high } => -(action.len() as f32) * libm::logf(high - low),
-            Self::TanhGaussian { low, high } => {
-                tanh_gaussian::log_prob(output, (low, high), action)
+            Self::TanhGaussian { low, high, noise } => {
+                let own = noise.map_or(1.0, SharedNoise::own_part);
+                tanh_gaussian::log_prob(output, ((low, high), own), action)
             }
         }
     }
@@ -245,7 +270,8 @@ mod tests {
         assert!(Head::Categorical { choices: 3 }.check(2).is_err());
         for head in [
             Head::Uniform { low: 1.0, high: 1.0 },
-            Head::TanhGaussian { low: 2.0, high: 1.0 },
+            Head::TanhGaussian { low: 2.0, high: 1.0, noise: None },
+            Head::TanhGaussian { low: 1.0, high: 2.0, noise: Some(NOISE) },
             Head::Uniform { low: f32::NAN, high: 1.0 },
             Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
             Head::Categorical { choices: 0 },

@@ -4,7 +4,7 @@
 //! The signal `z`, `[K]`, is standard normal. Its key names no agent, so every process computes it and none sends it.
 //! The loadings `r`, `[act, K]`, have rows of norm below 1 and may decrease during a run; `eps` is each agent's own. Given `z`, the policy is a
 //! diagonal Gaussian with mean `mu + sigma r z` and deviations `sigma sqrt(1 - |r|^2)`. Without `z`, its deviations are
-//! `sigma`.
+//! `sigma`. Of a tanh-Gaussian this is the distribution before tanh.
 
 use std::fmt;
 
@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::PolicyError;
 use crate::ops::sigmoid;
 use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
+use crate::tanh_gaussian;
 
 /// Largest norm of a row of loadings.
 pub const LARGEST_LOADING: f32 = 0.95;
@@ -60,6 +61,13 @@ impl SharedNoise {
 
     fn share(self) -> f32 {
         self.share.unwrap_or(1.0)
+    }
+
+    /// `sqrt(1 - |r|^2)` of constant loadings: the fraction of a deviation that is each agent's own.
+    #[must_use]
+    pub fn own_part(self) -> f64 {
+        let loading = f64::from(self.share() * self.loading.unwrap_or_default());
+        (1.0 - loading * loading).sqrt()
     }
 
     /// The same noise with this fraction of the loadings.
@@ -116,7 +124,7 @@ pub(crate) struct GivenSignal {
     noise: SharedNoise,
     /// `r`, `[act, K]`.
     loadings: Vec<f32>,
-    /// `sigma r`, `[act, K]`.
+    /// `sigma r`, `[act, K]`; `r` if `sigma` depends on the observation.
     shifts: Vec<f32>,
     /// `sigma sqrt(1 - |r|^2)`, `[act]`.
     pub(crate) deviations: Vec<f32>,
@@ -135,11 +143,15 @@ impl GivenSignal {
         Self { noise, loadings, shifts, deviations }
     }
 
-    /// Adds `sigma r z` to the means `[act]` of the step whose action has the key `action`.
-    pub(crate) fn shift(&self, seed: RunSeed, action: Draw, means: &mut [f32]) {
+    /// Adds `sigma r z` to the means `[act]` of the step whose action has the key `action`. A tanh-Gaussian's output also has
+    /// its deviations, `ls`, `[act]`.
+    pub(crate) fn shift(&self, seed: RunSeed, action: Draw, output: &mut [f32]) {
         let signal = self.noise.signal(seed, action);
-        for (mean, row) in means.iter_mut().zip(self.shifts.chunks_exact(signal.len())) {
-            *mean += row.iter().zip(&signal).map(|(shift, z)| shift * z).sum::<f32>();
+        let (means, ls) = output.split_at_mut(self.deviations.len());
+        let rows = self.shifts.chunks_exact(signal.len());
+        for (index, (mean, row)) in means.iter_mut().zip(rows).enumerate() {
+            let sigma = ls.get(index).map_or(1.0, |l| tanh_gaussian::sigma(*l) as f32);
+            *mean += sigma * row.iter().zip(&signal).map(|(shift, z)| shift * z).sum::<f32>();
         }
     }
 
@@ -165,6 +177,7 @@ impl Draw {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{ActorPolicy, CoreKind, Head, PolicyConfig, Scratch, probe};
 
     const SEED: RunSeed = RunSeed(4);
 
@@ -224,6 +237,64 @@ mod tests {
             assert_eq!((means, of(0.0).deviations), ([1.0, -2.0], vec![0.4; 2]));
         }
         assert_eq!(noise(1, 1, None).scaled(1.0), noise(1, 1, None));
+    }
+
+    /// A policy with one tanh-Gaussian action, whose outputs are 0.3 and 0: the mean, and `l` of the deviation exp(-1.5).
+    fn squashed(noise: Option<SharedNoise>) -> ActorPolicy {
+        let config = PolicyConfig { width: 1, ..probe::config(CoreKind::Mlp) };
+        let head = Head::TanhGaussian { low: -1.0, high: 1.0, noise };
+        let parameters = [0.0, 0.0, 0.0, 0.0, 0.3, 0.0];
+        ActorPolicy::without_norms(&config, (1, 1), head, &parameters).unwrap()
+    }
+
+    /// An output given the signal, and the action drawn.
+    fn drawn(policy: &ActorPolicy, key: Draw) -> ([f32; 2], [f32; 1]) {
+        let (mut output, mut action) = ([0.0; 2], [0.0]);
+        policy.forward(1, &[1.0], &mut [], &mut output, &mut Scratch::default());
+        policy.add_shared_noise(SEED, key, &mut output);
+        policy.draw(&output, &mut generator(SEED, key), &mut action);
+        (output, action)
+    }
+
+    #[test]
+    fn before_tanh_noise_has_the_correlation_of_the_loadings_and_each_agent_its_own_moments() {
+        let policy = squashed(Some(noise(1, 1, Some(0.7))));
+        let count = 20_000;
+        let (mut means, mut squares, mut product) = ([0.0; 2], [0.0; 2], 0.0);
+        for environment in 0..count {
+            let normal = [0, 1].map(|agent| {
+                let action = drawn(&policy, Draw::of_action(0, environment, 0, agent)).1[0];
+                (libm::atanh(f64::from(action)) - 0.3) / libm::exp(-1.5) / f64::from(count).sqrt()
+            });
+            for (agent, x) in normal.into_iter().enumerate() {
+                means[agent] += x / f64::from(count).sqrt();
+                squares[agent] += x * x;
+            }
+            product += normal[0] * normal[1];
+        }
+        assert!(means.iter().all(|mean| mean.abs() < 0.03), "{means:?}");
+        assert!(squares.iter().all(|square| (square - 1.0).abs() < 0.04), "{squares:?}");
+        assert!((product - 0.49).abs() < 0.03, "{product}");
+    }
+
+    #[test]
+    fn a_tanh_gaussian_given_the_signal_matches_a_worked_case_and_without_loadings_is_independent()
+    {
+        let (shared, key) = (noise(1, 1, Some(0.7)), Draw::of_action(0, 3, 0, 1));
+        let policy = squashed(Some(shared));
+        let (output, _) = drawn(&policy, key);
+        let mean = 0.3 + 0.223_130_16 * 0.7 * shared.signal(SEED, key)[0];
+        assert!((output[0] - mean).abs() < 1e-6 && output[1] == 0.0, "{output:?} {mean}");
+        // At the mean: -log(exp(-1.5) sqrt(1 - 0.49)) - log(2 pi) / 2 - log(1 - tanh(u)^2)
+        let action = libm::tanh(f64::from(mean));
+        let slope = libm::log(1.0 - action * action);
+        let expected = 1.5 + 0.336_672_3 - 0.918_938_5 - slope;
+        let found = f64::from(policy.log_prob(&output, &[action as f32]));
+        assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+        let decayed = squashed(Some(shared.scaled(0.0)));
+        assert_eq!(drawn(&decayed, key), drawn(&squashed(None), key));
+        assert_ne!(drawn(&policy, key), drawn(&decayed, key));
+        assert_eq!(policy.uniform().head(), Head::Uniform { low: -1.0, high: 1.0 });
     }
 
     #[test]

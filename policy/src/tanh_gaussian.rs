@@ -2,6 +2,7 @@
 //!
 //! The network's output `[2 A]` has the means `m` of `u`, then `l` with `log sigma = -5 + 3.5 (tanh(l) + 1)`. Both depend
 //! on the observation. Computed in f64, so that an action gives back its `u` as well as its single precision allows.
+//! Given the signal of noise that agents share, the means are shifted and `sigma` is multiplied by `own`, else 1.
 
 use core::f64::consts::LN_2;
 
@@ -46,10 +47,16 @@ fn half_and_middle((low, high): (f32, f32)) -> (f64, f64) {
 }
 
 /// Draws an action `[A]` from one row's output `[2 A]`.
-pub(crate) fn draw(output: &[f32], range: (f32, f32), rng: &mut impl RngCore, action: &mut [f32]) {
+pub(crate) fn draw(
+    output: &[f32],
+    (range, own): ((f32, f32), f64),
+    rng: &mut impl RngCore,
+    action: &mut [f32],
+) {
     let (means, ls) = output.split_at(action.len());
     for ((action, &mean), &l) in action.iter_mut().zip(means).zip(ls) {
-        *action = squashed(f64::from(mean) + sigma(l) * f64::from(standard_normal(rng)), range);
+        let noise = sigma(l) * own * f64::from(standard_normal(rng));
+        *action = squashed(f64::from(mean) + noise, range);
     }
 }
 
@@ -63,11 +70,11 @@ pub(crate) fn mode(output: &[f32], range: (f32, f32), action: &mut [f32]) {
 /// Log-density of an action `[A]` under one row's output `[2 A]`, nats: `sum_d log N(u_d; m_d, sigma_d) - log |da/du|`.
 /// An action at the edge of the range has many `u`; its density is that of the one closest to the mean, so it is finite.
 #[must_use]
-pub fn log_prob(output: &[f32], range: (f32, f32), action: &[f32]) -> f32 {
+pub fn log_prob(output: &[f32], (range, own): ((f32, f32), f64), action: &[f32]) -> f32 {
     let (half, middle) = half_and_middle(range);
     let (means, ls) = output.split_at(action.len());
     let one = |((&mean, &l), &action): ((&f32, &f32), &f32)| {
-        let (mean, log_sigma) = (f64::from(mean), log_sigma(f64::from(l)));
+        let (mean, log_sigma) = (f64::from(mean), log_sigma(f64::from(l)) + libm::log(own));
         let value = (f64::from(action) - middle) / half;
         let nearest = libm::atanh(value.clamp(-EDGE, EDGE));
         let u = match value {
@@ -96,11 +103,16 @@ mod tests {
 
     const UNIT: (f32, f32) = (-1.0, 1.0);
 
+    /// With independent noise.
+    fn log_prob(output: &[f32], range: (f32, f32), action: &[f32]) -> f32 {
+        super::log_prob(output, (range, 1.0), action)
+    }
+
     fn drawn(output: [f32; 2], range: (f32, f32), count: u32) -> Vec<f32> {
         let one = |step| {
             let mut action = [0.0];
             let mut rng = generator(RunSeed(1), Draw::of(Purpose::Probe).step(step));
-            draw(&output, range, &mut rng, &mut action);
+            draw(&output, (range, 1.0), &mut rng, &mut action);
             action[0]
         };
         (0..count).map(one).collect()

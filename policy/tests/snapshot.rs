@@ -20,7 +20,7 @@ fn agent(core: CoreKind, action: usize, head: Head) -> ActorPolicy {
     ActorNetwork::new(&config(core), 5, action, head, &mut rng).unwrap().policy().unwrap()
 }
 
-const SQUASHED: Head = Head::TanhGaussian { low: -1.0, high: 3.0 };
+const SQUASHED: Head = Head::TanhGaussian { low: -1.0, high: 3.0, noise: None };
 
 /// An agent of 5 observation features and 2 action values, whose parameters are multiples of 0.01.
 fn squashed() -> ActorPolicy {

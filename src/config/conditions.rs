@@ -49,6 +49,8 @@ pub(super) const OFF_POLICY: Condition = Condition::Is("update.rule", &["maddpg"
 pub(super) const MADDPG: Condition = Condition::Is("update.rule", &["maddpg"]);
 /// Heterogeneous-agent soft actor-critic.
 pub(super) const HASAC: Condition = Condition::Is("update.rule", &["hasac"]);
+/// Rules whose policies are Gaussian with continuous actions, also before tanh.
+pub(super) const GAUSSIAN: Condition = Condition::Is("update.rule", &["happo", "mappo", "hasac"]);
 /// The agents share a part of their noise.
 pub(super) const SHARED_NOISE: Condition = Condition::Is("policy.noise", &["shared"]);
 /// The surprise term is on.

@@ -5,7 +5,8 @@ use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Contacts, Continuous, Robot, Several};
 
 use super::conditions::{
-    Condition, HASAC, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SHARED_NOISE, SURPRISE,
+    Condition, GAUSSIAN, HASAC, INFLUENCE, MADDPG, ON_POLICY, Property, RunContext, SHARED_NOISE,
+    SURPRISE,
 };
 use super::keys;
 use super::resolved::{ConfigError, Resolved};
@@ -37,7 +38,7 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["policy.width", "policy.layers"], &[MLP]),
     (&["policy.input_norm", "policy.head_gain"], &[LAYER_NORMS]),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
-    (&["policy.noise"], &[ON_POLICY, Environment(Several), Environment(Continuous)]),
+    (&["policy.noise"], &[GAUSSIAN, Environment(Several), Environment(Continuous)]),
     (
         &[
             "policy.noise_loading",

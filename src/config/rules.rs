@@ -1,7 +1,7 @@
 //! Rules between settings of different sections, and between settings and the environment. The range of a single setting is
 //! checked by its section.
 
-use Condition::{Above0, Environment, Is, Not};
+use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Continuous, Discrete};
 use marl::config::{QTraining, Sharing};
 use policy::setting::{SettingError, multiple, within};
@@ -98,8 +98,13 @@ const TABLE: &[Rule] = &[
     ),
     rule(
         SHARED_NOISE,
-        &[OFF_POLICY],
-        "independent with a replay: the signals of its steps are not stored",
+        &[MADDPG],
+        "independent with update.rule = maddpg: its noise is clamped to the range of actions",
+    ),
+    rule(
+        Zero("policy.noise_loading"),
+        &[SHARED_NOISE, HASAC],
+        "above 0 with update.rule = hasac: losses are those of independent noise, so loadings have no gradient",
     ),
     rule(
         SHARED_NOISE,
@@ -231,6 +236,7 @@ mod tests {
         ),
         (&["cue-2x1", "influence.q_training=shared"], "influence.q_training = shared"),
         (&["algorithm=maddpg", "policy.noise=shared"], "policy.noise = shared"),
+        (&["algorithm=hasac", "policy.noise=shared"], "policy.noise_loading = none"),
         (&["cue-2x1", "policy.noise=shared"], "policy.noise = shared"),
         (&["influence.estimator=exact"], "influence.estimator = exact"),
         (
@@ -260,6 +266,7 @@ mod tests {
             &["influence.q_training=shared"],
             &["influence.posterior_sigma_floor=0.5"],
             &["algorithm=hasac", "update.max_gradient_norm=10", "critic.max_gradient_norm=10"],
+            &["algorithm=hasac", "policy.noise=shared", "policy.noise_loading=0.7"],
             &["environment_service.url=http://localhost:7", "observation.norm=running"],
         ] {
             assert!(RunConfig::with(settings).is_ok(), "{settings:?}");

@@ -186,12 +186,25 @@ fn every_pair_of_values_is_in_some_cell() {
 }
 
 /// Settings that the cells do not cover: other rules, networks and statistics, robots that fall, and a game.
-const VARIANTS: [&[&str]; 8] = [
+const VARIANTS: [&[&str]; 9] = [
     &["algorithm=mappo", "policy.core=mlp", "policy.width=8", "policy.layers=1"],
     &["algorithm=mappo", "update.parameters=separate", "surprise.alpha=0.01"],
     &["algorithm=happo-s2mia", "policy.core=mlp", "policy.width=8", "policy.layers=1"],
     &["algorithm=happo-s2mia", "observation.norm=none"],
     &["algorithm=happo-s2mia-exact", "policy.noise_hold=3"],
+    &[
+        "algorithm=hasac",
+        "policy.width=8",
+        "policy.layers=1",
+        "critic.layers=1",
+        "hasac.replay=200",
+        "hasac.batch=16",
+        "hasac.warm_up=160",
+        "hasac.updates_per_step=0.2",
+        "policy.noise=shared",
+        "policy.noise_loading=0.7",
+        "policy.noise_decay_steps=900",
+    ],
     &["task=walker2d-2x3", "observation.mode=k_nearest"],
     &["task=ant-4x2", "observation.contact_forces=zeros"],
     &["task=cue-2x1"],

@@ -36,8 +36,9 @@ class Network:
         self.spec, self.arrays = spec, arrays
         head = spec.get("head", "gaussian")
         self.distribution, parameters = (head, {}) if isinstance(head, str) else next(iter(head.items()))
-        if spec["core"] not in ("gru", "mlp") or self.distribution not in _DISTRIBUTIONS:
-            raise ValueError(f"core {spec['core']} with distribution {self.distribution} is unknown to this package")
+        unknown = self.distribution not in _DISTRIBUTIONS or "noise" in parameters
+        if spec["core"] not in ("gru", "mlp") or unknown:
+            raise ValueError(f"core {spec['core']} with distribution {head} is unknown to this package")
         self.choices: int = parameters.get("choices", 0)
         """Number of choices; 0 if actions are continuous."""
         self._noise_sigma: float = parameters.get("noise_sigma", 0.0)

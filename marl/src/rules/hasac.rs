@@ -34,6 +34,8 @@ pub(crate) struct Hasac {
     agents: Vec<HasacAgent>,
     critics: TwinCritics,
     experience: ReplayedExperience,
+    /// Fraction of the loadings of noise that agents share, in acting only.
+    noise_share: f32,
     /// Optimiser steps of the critics so far.
     steps: i64,
 }
@@ -66,6 +68,7 @@ impl Hasac {
             agents: (0..problem.agents.len()).map(agent).collect::<Result<_, _>>()?,
             critics: TwinCritics::new((config, own), problem, seed)?,
             experience: ReplayedExperience::new(own.into(), (config, policy), problem, seed),
+            noise_share: 1.0,
             steps: 0,
         })
     }
@@ -214,8 +217,9 @@ impl Algorithm for Hasac {
         self.agents.iter_mut().for_each(|agent| agent.scale_learning_rates(share));
     }
 
-    /// The agents share no noise.
-    fn scale_noise(&mut self, _share: f64) {}
+    fn scale_noise(&mut self, share: f64) {
+        self.noise_share = share as f32;
+    }
 
     fn update(
         &mut self,
@@ -236,8 +240,8 @@ impl Algorithm for Hasac {
     }
 
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
-        let agents = self.agents.iter().map(HasacAgent::policy).collect::<Result<_, _>>()?;
-        Ok(self.experience.snapshot(agents))
+        let agents = self.agents.iter().map(|agent| agent.policy(self.noise_share));
+        Ok(self.experience.snapshot(agents.collect::<Result<_, _>>()?))
     }
 }
 

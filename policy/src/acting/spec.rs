@@ -145,9 +145,7 @@ impl ActorSpec {
 
     /// The same policy with this fraction of the loadings of shared noise; without shared noise nothing changes.
     pub(crate) fn with_noise_share(mut self, share: f32) -> Self {
-        if let Some(Head::SharedGaussian(noise)) = &mut self.head {
-            *noise = noise.scaled(share);
-        }
+        self.head = self.head.map(|head| head.with_noise_share(share));
         self
     }
 
@@ -194,18 +192,18 @@ impl fmt::Display for ActorSpec {
         }
         match (self.head(), self.head().scale()) {
             (Head::Categorical { choices }, _) => write!(f, ", {choices} choices"),
-            (Head::TanhGaussian { low, high }, _) => {
+            (Head::TanhGaussian { low, high, .. }, _) => {
                 write!(f, ", {} tanh-Gaussian actions from {low} to {high}", self.action)
             }
             (_, None) => {
                 let (action, scale) = (self.action, self.sigma_scale);
-                write!(f, ", {action} Gaussian actions with sigma_scale {scale}")?;
-                self.head().shared_noise().map_or(Ok(()), |noise| write!(f, " and {noise}"))
+                write!(f, ", {action} Gaussian actions with sigma_scale {scale}")
             }
             (_, Some((half, middle))) => {
                 let (low, high) = (middle - half, middle + half);
                 write!(f, ", {} actions squashed into {low} to {high}", self.action)
             }
-        }
+        }?;
+        self.head().shared_noise().map_or(Ok(()), |noise| write!(f, " and {noise}"))
     }
 }

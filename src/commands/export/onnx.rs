@@ -350,7 +350,7 @@ fn action(graph: &mut Graph, agent: &ActorPolicy) {
         }
         Head::Deterministic { low, high, .. }
         | Head::Uniform { low, high }
-        | Head::TanhGaussian { low, high } => {
+        | Head::TanhGaussian { low, high, .. } => {
             let mean = match agent.head() {
                 Head::TanhGaussian { .. } => {
                     let halves = ["action.mean", "action.l"];

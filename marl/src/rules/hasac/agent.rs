@@ -69,11 +69,12 @@ impl HasacAgent {
         self.shape.action
     }
 
-    /// The policy for acting.
-    pub(super) fn policy(&self) -> Result<ActorPolicy, MarlError> {
+    /// The policy for acting, with this fraction of the loadings of shared noise.
+    pub(super) fn policy(&self, noise_share: f32) -> Result<ActorPolicy, MarlError> {
         let (low, high) = self.shape.action_range;
         let sizes = (self.shape.observation, self.shape.action);
-        let head = Head::TanhGaussian { low, high };
+        let head = self.config.with_noise(Head::TanhGaussian { low, high, noise: None });
+        let head = head.with_noise_share(noise_share);
         Ok(ActorPolicy::without_norms(&self.config, sizes, head, &self.network.folded()?)?)
     }
 

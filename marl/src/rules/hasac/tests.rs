@@ -1,5 +1,7 @@
 //! Targets, one agent's update and the temperature, in cases small enough to check by hand.
 
+use policy::Noise;
+
 use super::*;
 use crate::config::HasacConfig;
 use crate::data::batch::AgentShape;
@@ -67,6 +69,24 @@ fn with_one_agent_the_sequential_update_is_that_of_soft_actor_critic() {
     agent.improve(&drawn, &values, &by_action).unwrap();
     assert_eq!(sequential.arrays().unwrap(), plain.arrays().unwrap());
     assert_ne!(plain.arrays().unwrap(), hasac().arrays().unwrap());
+}
+
+#[test]
+fn noise_that_agents_share_is_that_of_acting_only() {
+    let (config, independent) = configs();
+    let noise = Some(Noise::Shared);
+    let shared = PolicyConfig { noise, noise_loading: Some(0.7), ..independent.clone() };
+    let [shared, independent] = [shared, independent].map(|policy| {
+        let mut hasac = Hasac::new(&config, &policy, &problem(2), RunSeed(0)).unwrap();
+        let mut sample = Sample::default();
+        sample.now.state = normals(30);
+        sample.now.observation = vec![normals(20); 2];
+        hasac.improve_policies(&sample, &[0, 1], &mut [self::noise(), self::noise()]).unwrap();
+        let noise = hasac.agents[1].policy(0.5).unwrap().head().shared_noise();
+        (hasac.arrays().unwrap(), noise.map(|noise| (noise.loading, noise.share)))
+    });
+    assert_eq!(shared.0, independent.0);
+    assert_eq!((shared.1, independent.1), (Some((Some(0.7), Some(0.5))), None));
 }
 
 #[test]
