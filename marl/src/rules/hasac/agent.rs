@@ -50,10 +50,7 @@ impl HasacAgent {
         let sizes = (shape.observation, policy.width, policy.layers, 2 * shape.action);
         let UpdateConfig { learning_rate, adam_epsilon, max_gradient_norm, .. } = config.update;
         let adam = AdamConfig { learning_rate, epsilon: adam_epsilon, max_gradient_norm };
-        let of_network = |parameters: &Parameters| {
-            Adam::new(adam, parameters).with_first_decay(own.first_moment)
-        };
-        let network = NormalisedNetwork::new(sizes, own.norm_momentum, of_network, &mut rng)?;
+        let network = NormalisedNetwork::new(sizes, (adam, own), &mut rng)?;
         Ok(Self {
             index,
             config: policy.clone(),

@@ -1,6 +1,5 @@
 //! The twin critics: action values of the joint action in a global state, without target networks.
 
-use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use rayon::prelude::*;
 
@@ -8,7 +7,7 @@ use crate::config::{HasacConfig, TrainingConfig};
 use crate::critic::StateScale;
 use crate::data::batch::Problem;
 use crate::error::MarlError;
-use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::optimizer::AdamConfig;
 use crate::rules::hasac::network::{FrozenNetwork, NormalisedNetwork};
 use crate::state::Visitor;
 
@@ -43,10 +42,7 @@ impl TwinCritics {
         let network = |twin: u32| {
             let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation).agent(twin));
             let sizes = (problem.state + actions, critic.width, critic.layers, 1);
-            let of_network = |parameters: &Parameters| {
-                Adam::new(adam, parameters).with_first_decay(own.first_moment)
-            };
-            NormalisedNetwork::new(sizes, own.norm_momentum, of_network, &mut rng)
+            NormalisedNetwork::new(sizes, (adam, own), &mut rng)
         };
         Ok(Self {
             networks: (0..2).map(network).collect::<Result<_, _>>()?,

@@ -13,10 +13,11 @@ use policy::ops::{Activation, Input, Layer, LayerStack, Network, Packed, Workspa
 use rand::RngCore;
 use rayon::prelude::*;
 
+use crate::config::HasacConfig;
 use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::minibatch::split;
-use crate::optimisation::optimizer::Adam;
+use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::rules::hasac::columns::{ColumnMoments, ColumnSums, Normalisation};
 use crate::state::{Visitor, visit_numbers, visit_parameters};
 
@@ -159,14 +160,14 @@ impl NormalisedLayer {
 }
 
 impl NormalisedNetwork {
-    /// `layers` hidden layers of `width` units, and their optimiser from `adam`.
+    /// `layers` hidden layers of `width` units, and their optimiser. `own` has the momentum of the running statistics and
+    /// the decay of the optimiser's first moment.
     ///
     /// # Errors
     /// If a tensor operation fails.
     pub(super) fn new(
         (inputs, width, layers, outputs): (usize, usize, usize, usize),
-        momentum: f64,
-        adam: impl FnOnce(&Parameters) -> Adam,
+        (adam, own): (AdamConfig, &HasacConfig),
         rng: &mut impl RngCore,
     ) -> Result<Self, MarlError> {
         let shape = |layer: usize| LinearShape {
@@ -195,7 +196,8 @@ impl NormalisedNetwork {
             });
         }
         LayerStack::declare(&mut parameters, &specs, rng)?;
-        let adam = adam(&parameters);
+        let adam = Adam::new(adam, &parameters).with_first_decay(own.first_moment);
+        let momentum = own.norm_momentum;
         Ok(Self { parameters, adam, momentum, layers: declared, shards: Vec::new() })
     }
 

@@ -3,7 +3,7 @@
 use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 
 use super::*;
-use crate::optimisation::optimizer::AdamConfig;
+use crate::sample;
 
 /// More rows than a shard has, in three shards of different sizes.
 const ROWS: usize = 400;
@@ -23,10 +23,11 @@ fn input() -> Vec<f32> {
 
 /// Two hidden layers of five units and two outputs; scales, shifts and biases are not those of a new network.
 fn network(momentum: f64) -> NormalisedNetwork {
-    let config = AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 1e9 };
-    let adam = |parameters: &Parameters| Adam::new(config, parameters);
+    let adam = AdamConfig { learning_rate: 0.1, epsilon: 1e-8, max_gradient_norm: 1e9 };
+    let usual = sample::config().hasac.unwrap();
+    let own = HasacConfig { norm_momentum: momentum, first_moment: 0.9, ..usual };
     let mut rng = generator(RunSeed(5), Draw::of(Purpose::CriticInitialisation));
-    let network = NormalisedNetwork::new((INPUTS, 5, 2, 2), momentum, adam, &mut rng).unwrap();
+    let network = NormalisedNetwork::new((INPUTS, 5, 2, 2), (adam, &own), &mut rng).unwrap();
     let mut values = network.parameters.values().unwrap();
     let noise = normals(values[0].len(), 2);
     values[0].iter_mut().zip(noise).for_each(|(value, noise)| *value += 0.2 * noise);
