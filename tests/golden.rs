@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and another setting of it.
-const CASES: [[&str; 3]; 14] = [
+const CASES: [[&str; 3]; 15] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -26,6 +26,7 @@ const CASES: [[&str; 3]; 14] = [
     ["halfcheetah-2x3", "hasac", "mlp"],
     ["ant-4x2", "hasac", "mlp"],
     ["halfcheetah-2x3", "happo-s2mia-exact", "gru policy.noise_size=2"],
+    ["halfcheetah-2x3", "hasac-sm", "mlp"],
 ];
 
 /// Cases that are repeated with each SIMD width: both cores, both rules with a replay, and a recurrent critic.
@@ -65,7 +66,7 @@ fn own_settings(core: &str, algorithm: &str) -> Vec<&'static str> {
     let sizes = if core == "gru" { GRU } else { MLP };
     let rule = match algorithm {
         "maddpg" => REPLAY.to_vec(),
-        "hasac" => SOFT_REPLAY.to_vec(),
+        "hasac" | "hasac-sm" => SOFT_REPLAY.to_vec(),
         "happo-s2mia" => [ON_POLICY, INFLUENCE].concat(),
         _ => ON_POLICY.to_vec(),
     };

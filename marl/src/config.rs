@@ -33,6 +33,21 @@ pub struct TrainingConfig {
     pub hasac: Option<HasacConfig>,
 }
 
+/// Settings of a replay and of the learning from it; the sections of the rules describe them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReplaySettings {
+    /// Capacity in transitions.
+    pub capacity: usize,
+    /// Transitions per optimiser step.
+    pub batch: usize,
+    /// Steps of reward before a target bootstraps.
+    pub n_step: usize,
+    /// Environment steps before the first optimiser step.
+    pub warm_up: u64,
+    /// Optimiser steps per environment step after the warm-up.
+    pub updates_per_step: f64,
+}
+
 /// How policies are updated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -157,18 +172,29 @@ impl TrainingConfig {
         self.hasac.as_ref().map_or(Ok(()), HasacConfig::validate)
     }
 
+    /// Settings of the rule's replay; `None` if it has none, or if its section is absent.
+    #[must_use]
+    pub fn replay(&self) -> Option<ReplaySettings> {
+        let (capacity, batch, n_step, warm_up, updates_per_step) = match self.update.rule {
+            Rule::Happo | Rule::Mappo => return None,
+            Rule::Maddpg => {
+                let own = &self.maddpg;
+                (own.replay, own.batch, own.n_step, own.warm_up, own.updates_per_step)
+            }
+            Rule::Hasac => {
+                let own = self.hasac.as_ref()?;
+                (own.replay, own.batch, own.n_step, own.warm_up, own.updates_per_step)
+            }
+        };
+        Some(ReplaySettings { capacity, batch, n_step, warm_up, updates_per_step })
+    }
+
     /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the
     /// transitions drawn from the replay per stored transition after the warm-up.
     #[must_use]
     pub fn sample_reuse(&self) -> f64 {
-        match self.update.rule {
-            Rule::Happo | Rule::Mappo => self.update.epochs as f64,
-            Rule::Maddpg => self.maddpg.batch as f64 * self.maddpg.updates_per_step,
-            Rule::Hasac => {
-                let reuse = |own: &HasacConfig| own.batch as f64 * own.updates_per_step;
-                self.hasac.as_ref().map_or(0.0, reuse)
-            }
-        }
+        let drawn = |replay: ReplaySettings| replay.batch as f64 * replay.updates_per_step;
+        self.replay().map_or(self.update.epochs as f64, drawn)
     }
 }
 

@@ -2,8 +2,8 @@
 //!
 //! The learner calls, once per iteration: [`Surprise::refit`], which fits the densities on `D_k` (Eq. 2);
 //! [`Surprise::relabel`], which adds the surprise to the team reward (Eq. 9); [`Algorithm::update`], which updates the
-//! policies on the relabelled batch (Eq. 10). This crate reads no file, clock or socket. No result depends on the
-//! number of threads.
+//! policies on the relabelled batch (Eq. 10), or on earlier steps that it relabels with the same densities. This crate reads
+//! no file, clock or socket. No result depends on the number of threads.
 
 pub mod config;
 pub mod critic;
@@ -21,8 +21,8 @@ pub mod state;
 mod surprise;
 
 pub use config::{
-    CriticConfig, HasacConfig, InfluenceConfig, MaddpgConfig, SurpriseConfig, TrainingConfig,
-    UpdateConfig,
+    CriticConfig, HasacConfig, InfluenceConfig, MaddpgConfig, ReplaySettings, SurpriseConfig,
+    TrainingConfig, UpdateConfig,
 };
 pub use data::batch::{ActionKind, AgentBatch, AgentShape, Batch, Final, Problem, Rewards};
 pub use data::observation::{ObservationMoments, ObservationScale};
@@ -32,7 +32,7 @@ pub use rules::algorithm::{Algorithm, Report};
 pub use rules::build;
 pub use rules::start::start_from;
 pub use state::StoredState;
-pub use surprise::Surprise;
+pub use surprise::{Relabelled, Surprise};
 
 #[cfg(test)]
 extern crate self as marl;

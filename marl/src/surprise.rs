@@ -41,10 +41,21 @@ pub(crate) fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64
     if bonus > 0.0 { bonus / (task + bonus) } else { 0.0 }
 }
 
+/// Rewards of an iteration.
+pub struct Relabelled<'a> {
+    /// Of every agent, `[N][T, B]`.
+    pub rewards: Rewards,
+    /// The densities whose surprise the rewards contain; a replay relabels its rewards with them when it draws them. `None`
+    /// if every reward is the team's.
+    pub surprise: Option<&'a Surprise>,
+}
+
 /// One density per agent, and the weight of its log-density in the agent's reward.
 pub struct Surprise {
     seed: RunSeed,
     alpha: f64,
+    /// Iteration of the last fit, the key of the draws of every query.
+    iteration: u64,
     agents: Vec<AgentSurprise>,
 }
 
@@ -65,7 +76,7 @@ impl Surprise {
         };
         let agents = problem.agents.iter().enumerate().map(agent);
         let agents = agents.collect::<Result<_, MarlError>>()?;
-        Ok(Self { seed, alpha: config.alpha, agents })
+        Ok(Self { seed, alpha: config.alpha, iteration: 0, agents })
     }
 
     /// Eq. (2): `theta_k = argmax sum_(D_k) log p_theta(o)` for every agent. Also scores `D_k` under these
@@ -77,6 +88,7 @@ impl Surprise {
         let rows = batch.rows();
         let alpha = self.alpha;
         let seed = self.seed;
+        self.iteration = iteration;
         let agents = self.agents.par_iter_mut().enumerate();
         agents.try_for_each(|(index, agent)| {
             let data = &batch.agents[index].observation;
@@ -94,16 +106,39 @@ impl Surprise {
     /// # Panics
     /// If `batch` has another shape than that of the last [`Surprise::refit`].
     #[must_use]
-    pub fn relabel(&self, batch: &Batch) -> Rewards {
+    pub fn relabel(&self, batch: &Batch) -> Relabelled<'_> {
         let agent = |agent: &AgentSurprise| {
-            let scores = agent.scores();
-            assert_shape("rows of the refitted batch", scores.len(), batch.rows());
-            let reward = batch.reward.iter().zip(scores).map(|(&reward, &score)| {
-                reward_with_surprise(f64::from(reward), self.alpha, score) as f32
-            });
-            reward.collect()
+            assert_shape("rows of the refitted batch", agent.scores().len(), batch.rows());
+            self.with_surprise(&batch.reward, agent.scores())
         };
-        self.agents.par_iter().map(agent).collect()
+        let rewards = self.agents.par_iter().map(agent).collect();
+        Relabelled { rewards, surprise: (self.alpha > 0.0).then_some(self) }
+    }
+
+    /// Eq. (9) for steps of any iteration, with the densities of the last fit: rewards `[R]` and observations `[N][R, obs]`
+    /// give `[N][R]`.
+    ///
+    /// # Errors
+    /// If a tensor operation fails.
+    pub(crate) fn rewards(
+        &self,
+        reward: &[f32],
+        observations: &[Vec<f32>],
+    ) -> Result<Rewards, MarlError> {
+        let agents = self.agents.par_iter().zip(observations).enumerate();
+        let agent = |(index, (agent, data)): (usize, (&AgentSurprise, &Vec<f32>))| {
+            let observations = Observations { data, width: data.len() / reward.len() };
+            let Self { seed, iteration, .. } = *self;
+            let context = DensityContext { seed, iteration, agent: index as u32 };
+            Ok(self.with_surprise(reward, &agent.score(observations, context)?))
+        };
+        agents.map(agent).collect()
+    }
+
+    fn with_surprise(&self, reward: &[f32], scores: &[f64]) -> Vec<f32> {
+        let pairs = reward.iter().map(|&reward| f64::from(reward)).zip(scores);
+        let sum = |(reward, &score)| reward_with_surprise(reward, self.alpha, score) as f32;
+        pairs.map(sum).collect()
     }
 
     /// Metrics of the last fit, per agent: entropy bound of the observations (nats), mean and standard deviation of the
@@ -186,7 +221,7 @@ mod tests {
         let batch = batch(vec![vec![0.0, 2.0, 4.0], vec![5.0, 5.0, 8.0]]);
         let mut surprise = surprise(0.1, 2);
         surprise.refit(&batch, 0).unwrap();
-        let rewards = surprise.relabel(&batch);
+        let rewards = surprise.relabel(&batch).rewards;
         for (seen, rewards, mean, variance) in [
             ([0.0, 2.0, 4.0], &rewards[0], 2.0, 8.0 / 3.0),
             ([5.0, 5.0, 8.0], &rewards[1], 6.0, 2.0),
@@ -204,6 +239,7 @@ mod tests {
         let batch = batch(vec![vec![0.5, -2.0, 4.0]]);
         let mut surprise = surprise(0.0, 1);
         surprise.refit(&batch, 0).unwrap();
-        assert_eq!(surprise.relabel(&batch)[0], batch.reward);
+        let relabelled = surprise.relabel(&batch);
+        assert!(relabelled.rewards[0] == batch.reward && relabelled.surprise.is_none());
     }
 }

@@ -230,7 +230,9 @@ fn named_layers(
     let of_algorithm = taken(&mut general, "algorithm", &[algorithm.name, &task]);
     layers.push(laid_out(preset.path, &general)?);
     layers.push(laid_out(preset.path, &of_task)?);
-    layers.push(preset_layer(algorithm)?);
+    for file in presets::of_algorithm(algorithm.name) {
+        layers.push(preset_layer(file)?);
+    }
     layers.push(laid_out(preset.path, &of_algorithm)?);
     Ok(layers)
 }

@@ -55,6 +55,7 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "mappo",
     "maddpg",
     "hasac",
+    "hasac-sm",
 );
 
 /// Published hyper-parameters, which override the settings of a task.
@@ -63,6 +64,12 @@ pub(crate) const PRESETS: &[Preset] = presets!("presets": "tuned", "harl", "pape
 /// The file with that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {
     presets.iter().copied().find(|preset| preset.name == name)
+}
+
+/// The files of an algorithm, each of which is laid over those before it: `NAME`, then `NAME-VARIANT`.
+pub(crate) fn of_algorithm(name: &str) -> impl Iterator<Item = Preset> {
+    let hyphens = name.match_indices('-').map(|(hyphen, _)| hyphen);
+    hyphens.chain([name.len()]).filter_map(|end| find(ALGORITHMS, &name[..end]))
 }
 
 /// The settings that a run has only if they are given, as TOML: in `configs/base.toml` their lines are comments.
@@ -145,6 +152,14 @@ mod tests {
             assert_eq!(description(key), Some((base, "")), "{key}");
         }
         assert_eq!(description("reward.control"), None);
+    }
+
+    #[test]
+    fn the_file_of_a_variant_is_laid_over_those_of_the_algorithms_that_its_name_begins_with() {
+        let names = |name| of_algorithm(name).map(|preset| preset.name).collect::<Vec<_>>();
+        assert_eq!(names("hasac-sm"), ["hasac", "hasac-sm"]);
+        assert_eq!(names("happo-sm-encoder"), ["happo", "happo-sm", "happo-sm-encoder"]);
+        assert_eq!(names("mappo"), ["mappo"]);
     }
 
     #[test]

@@ -51,11 +51,6 @@ const TABLE: &[Rule] = &[
         "mlp with update.rule = maddpg or hasac: the replay holds single steps, no recurrent states",
     ),
     rule(
-        Above0("surprise.alpha"),
-        &[OFF_POLICY],
-        "0 with update.rule = maddpg or hasac: the density is refitted in every iteration, so rewards in the replay would be stale",
-    ),
-    rule(
         Is("critic.state_norm", &["running"]),
         &[OFF_POLICY],
         "none or feature_z with update.rule = maddpg or hasac: the scale of states in the replay would be stale",
@@ -219,7 +214,6 @@ mod tests {
         (&["algorithm=hasac", "policy.core=gru"], "policy.core = gru"),
         (&["algorithm=maddpg", "observation.norm=running"], "observation.norm = running"),
         (&["algorithm=hasac", "critic.core=gru"], "critic.core = gru"),
-        (&["algorithm=maddpg", "surprise.alpha=0.01"], "surprise.alpha = 0.01"),
         (&["algorithm=maddpg", "critic.state_norm=running"], "critic.state_norm = running"),
         (&["algorithm=maddpg", "influence.lambda=0.01"], "influence.lambda = 0.01"),
         (&["algorithm=hasac", "influence.lambda=0.01"], "influence.lambda = 0.01"),
@@ -267,6 +261,7 @@ mod tests {
             &["influence.posterior_sigma_floor=0.5"],
             &["algorithm=hasac", "update.max_gradient_norm=10", "critic.max_gradient_norm=10"],
             &["algorithm=hasac", "policy.noise=shared", "policy.noise_loading=0.7"],
+            &["algorithm=maddpg", "surprise.alpha=0.01", "surprise.density=vae"],
             &["environment_service.url=http://localhost:7", "observation.norm=running"],
         ] {
             assert!(RunConfig::with(settings).is_ok(), "{settings:?}");

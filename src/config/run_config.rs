@@ -279,7 +279,8 @@ mod tests {
     {
         for (task, preset) in tasks_and_presets() {
             for algorithm in presets::ALGORITHMS {
-                let of_robots = ["maddpg", "hasac", "happo-shared", "happo-s2mia-exact"];
+                let of_robots =
+                    ["maddpg", "hasac", "hasac-sm", "happo-shared", "happo-s2mia-exact"];
                 if sim::Robot::of_task(task).is_err() && of_robots.contains(&algorithm.name) {
                     continue;
                 }
@@ -338,6 +339,16 @@ mod tests {
     }
 
     #[test]
+    fn hasac_with_surprise_is_hasac_but_for_the_weight_of_surprise() {
+        let training =
+            |name: &str| RunConfig::with(&[&format!("algorithm={name}")]).unwrap().training;
+        let (mut plain, surprised) = (training("hasac"), training("hasac-sm"));
+        assert_eq!((plain.surprise.alpha, surprised.surprise.alpha), (0.0, 0.01));
+        plain.surprise.alpha = 0.01;
+        assert_eq!(plain, surprised);
+    }
+
+    #[test]
     fn a_given_value_that_runs_have_without_it_leaves_the_settings_as_they_are() {
         let toml = |settings: &[&str]| RunConfig::with(settings).unwrap().resolved.to_toml();
         let shared =
@@ -354,7 +365,7 @@ mod tests {
             (&[], 1000, 1_000_000),
             (&["run.iterations=5"], 5, 5_000),
             (&["algorithm=maddpg", "run.iterations=5"], 5, 2_500),
-            (&["algorithm=hasac", "run.iterations=5"], 5, 2_500),
+            (&["algorithm=hasac-sm", "run.iterations=5"], 5, 2_500),
         ] {
             let config = RunConfig::with(settings).unwrap();
             let found = (config.iterations(), config.env_steps());

@@ -203,7 +203,7 @@ fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
 type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 
 /// The shipped algorithms, in the order of their ranks: each has the same style in every picture.
-const ALGORITHMS: [&str; 12] = [
+const ALGORITHMS: [&str; 13] = [
     "happo-s2mia",
     "happo",
     "mappo",
@@ -216,6 +216,7 @@ const ALGORITHMS: [&str; 12] = [
     "hasac",
     "happo-s2mia-exact",
     "happo-shared",
+    "hasac-sm",
 ];
 
 /// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others those that are left.

@@ -27,9 +27,8 @@ class Outlook:
             discount *= settings["update.gamma"]
             at, after = (step, environment), [own[step, environment] for own in batch["final_observation"]]
             if batch["terminated"][at]:
-                # No value follows. In its place a replay has the last state before the end.
-                return reward, 0.0, (batch["state"][at], [own[at] for own in batch["observation"]])
-            if batch["truncated"][at] or step + 1 == steps:
+                discount = 0.0
+            if batch["terminated"][at] or batch["truncated"][at] or step + 1 == steps:
                 return reward, discount, (batch["final_state"][at], after)
             step += 1
         at = (step, environment)

@@ -313,11 +313,8 @@ impl Trainer {
         fail_points::abort_soon_at("mid-update", self.iteration);
         let Self { launch, pool, observations, surprise, algorithm, iteration, .. } = self;
         let seen = observations.seen(batch);
-        let refit = || {
-            surprise.refit(&seen, *iteration)?;
-            Ok::<_, MarlError>(surprise.relabel(&seen))
-        };
-        let rewards = pool.install(refit)?;
+        pool.install(|| surprise.refit(&seen, *iteration))?;
+        let rewards = pool.install(|| surprise.relabel(&seen));
         let density_secs = begin.elapsed().as_secs_f64();
         let decay = launch.training.update.learning_rate_decay;
         algorithm.scale_learning_rates(decay.share(*iteration, launch.iterations));

@@ -2,9 +2,10 @@
 
 use policy::{NamedArrays, PolicySnapshot};
 
-use crate::data::batch::{Batch, Rewards};
+use crate::data::batch::Batch;
 use crate::error::MarlError;
 use crate::state::StoredState;
+use crate::surprise::Relabelled;
 
 /// Named metrics of an update, in a fixed order.
 pub type Report = Vec<(String, f64)>;
@@ -23,14 +24,14 @@ pub trait Algorithm: StoredState + Send {
     /// what its policies do. It is not part of the stored state, so the caller sets it before every snapshot.
     fn scale_noise(&mut self, share: f64);
 
-    /// Updates the policies once with the rollout data of iteration `iteration` and every agent's rewards `[N][T, B]`.
+    /// Updates the policies once with the rollout data of iteration `iteration` and their rewards.
     ///
     /// # Errors
     /// If the batch does not match the problem; the error names the first invalid array.
     fn update(
         &mut self,
         batch: &Batch,
-        rewards: &Rewards,
+        rewards: &Relabelled<'_>,
         iteration: u64,
     ) -> Result<Report, MarlError>;
 

@@ -16,7 +16,7 @@ use rand::RngCore;
 use rayon::prelude::*;
 
 use crate::config::TrainingConfig;
-use crate::data::batch::{Batch, Problem, Rewards};
+use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::optimisation::minibatch::permutation;
 use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
@@ -26,6 +26,7 @@ use crate::rules::hasac::critics::{CriticMetrics, TwinCritics};
 use crate::rules::off_policy::ReplayedExperience;
 use crate::rules::off_policy::replay::Sample;
 use crate::state::{StoredState, Visitor, visit_count};
+use crate::surprise::{Relabelled, Surprise};
 
 /// HASAC with twin critics.
 pub(crate) struct Hasac {
@@ -58,7 +59,7 @@ impl Hasac {
         problem: &Problem,
         seed: RunSeed,
     ) -> Result<Self, MarlError> {
-        let Some(own) = &config.hasac else {
+        let (Some(own), Some(replay)) = (&config.hasac, config.replay()) else {
             return Err(MarlError::Batch("update.rule = hasac needs the section hasac".to_owned()));
         };
         let agent = |index| HasacAgent::new((config, own), policy, problem, seed, index);
@@ -67,15 +68,20 @@ impl Hasac {
             seed,
             agents: (0..problem.agents.len()).map(agent).collect::<Result<_, _>>()?,
             critics: TwinCritics::new((config, own), problem, seed)?,
-            experience: ReplayedExperience::new(own.into(), (config, policy), problem, seed),
+            experience: ReplayedExperience::new(replay, (config, policy), problem, seed),
             noise_share: 1.0,
             steps: 0,
         })
     }
 
     /// One optimiser step of the critics, and one of every policy if it is due.
-    fn learn(&mut self, iteration: u64, step: u32, sums: &mut Sums) -> Result<(), MarlError> {
-        let sample = self.experience.sample(iteration, step);
+    fn learn(
+        &mut self,
+        (iteration, step): (u64, u32),
+        surprise: Option<&Surprise>,
+        sums: &mut Sums,
+    ) -> Result<(), MarlError> {
+        let sample = self.experience.sample((iteration, step), surprise)?;
         let draw = Draw::of(Purpose::UpdateAction).iteration(iteration).step(step);
         let noise = |agent: usize| generator(self.seed, draw.agent(agent as u32));
         let mut noise: Vec<_> = (0..self.agents.len()).map(noise).collect();
@@ -110,7 +116,8 @@ impl Hasac {
     }
 
     /// One step of the critics towards
-    /// `sum_k gamma^k r_(t+k) + gamma^m (min_j Q_j(s', a') - sum_i temperature_i log pi_i(a'_i|o'_i))`.
+    /// `sum_k gamma^k r_(t+k) + gamma^m (min_j Q_j(s', a') - sum_i temperature_i log pi_i(a'_i|o'_i))`, where `r` is the mean
+    /// of the agents' rewards.
     fn fit_critics<R: RngCore + Send>(
         &mut self,
         sample: &Sample,
@@ -206,9 +213,16 @@ fn targets(
         let value = if first <= second { first } else { second } - bonus;
         // A termination has no next value, whatever the critics make of the state after it.
         let next = if sample.discount[row] == 0.0 { 0.0 } else { sample.discount[row] * value };
-        sample.reward[row] + next
+        team_reward(sample, row) + next
     };
-    (0..sample.reward.len()).map(target).collect()
+    (0..sample.discount.len()).map(target).collect()
+}
+
+/// Mean of the agents' rewards, which is exact if they are equal.
+fn team_reward(sample: &Sample, row: usize) -> f64 {
+    let first = sample.reward[0][row];
+    let others: f64 = sample.reward.iter().map(|own| own[row] - first).sum();
+    first + others / sample.reward.len() as f64
 }
 
 impl Algorithm for Hasac {
@@ -224,7 +238,7 @@ impl Algorithm for Hasac {
     fn update(
         &mut self,
         batch: &Batch,
-        rewards: &Rewards,
+        rewards: &Relabelled<'_>,
         iteration: u64,
     ) -> Result<Report, MarlError> {
         let updates = self.experience.add(batch, rewards)?;
@@ -234,7 +248,7 @@ impl Algorithm for Hasac {
             policies: vec![PolicyMetrics::default(); self.agents.len()],
         };
         for step in 0..updates {
-            self.learn(iteration, step as u32, &mut sums)?;
+            self.learn((iteration, step as u32), rewards.surprise, &mut sums)?;
         }
         self.report(updates, &sums)
     }

@@ -9,13 +9,14 @@ use policy::{PolicyConfig, PolicySnapshot};
 use rayon::prelude::*;
 
 use crate::config::TrainingConfig;
-use crate::data::batch::{Batch, Problem, Rewards};
+use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
 use crate::rules::maddpg::agent::{MaddpgAgent, StepMetrics};
 use crate::rules::off_policy::ReplayedExperience;
 use crate::rules::off_policy::replay::Sample;
 use crate::state::{StoredState, Visitor};
+use crate::surprise::Relabelled;
 
 /// MADDPG with one action value per agent.
 pub(crate) struct Maddpg {
@@ -28,6 +29,9 @@ impl Maddpg {
     ///
     /// # Errors
     /// If a tensor operation fails.
+    ///
+    /// # Panics
+    /// If the settings are those of another rule.
     pub(crate) fn new(
         config: &TrainingConfig,
         policy: &PolicyConfig,
@@ -37,7 +41,7 @@ impl Maddpg {
         let agents = (0..problem.agents.len())
             .map(|index| MaddpgAgent::new(config, policy, problem, seed, index))
             .collect::<Result<_, _>>()?;
-        let settings = (&config.maddpg).into();
+        let settings = config.replay().expect("the settings are those of a rule with a replay");
         let experience = ReplayedExperience::new(settings, (config, policy), problem, seed);
         Ok(Self { agents, experience })
     }
@@ -82,13 +86,13 @@ impl Algorithm for Maddpg {
     fn update(
         &mut self,
         batch: &Batch,
-        rewards: &Rewards,
+        rewards: &Relabelled<'_>,
         iteration: u64,
     ) -> Result<Report, MarlError> {
         let updates = self.experience.add(batch, rewards)?;
         let mut sums = vec![StepMetrics::default(); self.agents.len()];
         for step in 0..updates {
-            let sample = self.experience.sample(iteration, step as u32);
+            let sample = self.experience.sample((iteration, step as u32), rewards.surprise)?;
             for (sum, figures) in sums.iter_mut().zip(self.learn(&sample)?) {
                 sum.value_loss += figures.value_loss;
                 sum.action_value += figures.action_value;

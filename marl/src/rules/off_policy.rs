@@ -8,46 +8,13 @@ pub(crate) mod replay;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{ActorPolicy, PolicyConfig, PolicySnapshot};
 
-use crate::config::{HasacConfig, MaddpgConfig, TrainingConfig};
-use crate::data::batch::{Batch, Problem, Rewards, check_rewards};
+use crate::config::{ReplaySettings, TrainingConfig};
+use crate::data::batch::{Batch, Problem, check_rewards};
 use crate::error::MarlError;
 use crate::rules::algorithm::Report;
 use crate::rules::off_policy::replay::{NStepHorizon, Replay, Sample};
 use crate::state::Visitor;
-
-/// Settings of a replay and of the learning from it; the rules' sections describe them.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ReplaySettings {
-    capacity: usize,
-    batch: usize,
-    n_step: usize,
-    warm_up: u64,
-    updates_per_step: f64,
-}
-
-impl From<&MaddpgConfig> for ReplaySettings {
-    fn from(config: &MaddpgConfig) -> Self {
-        Self {
-            capacity: config.replay,
-            batch: config.batch,
-            n_step: config.n_step,
-            warm_up: config.warm_up,
-            updates_per_step: config.updates_per_step,
-        }
-    }
-}
-
-impl From<&HasacConfig> for ReplaySettings {
-    fn from(config: &HasacConfig) -> Self {
-        Self {
-            capacity: config.replay,
-            batch: config.batch,
-            n_step: config.n_step,
-            warm_up: config.warm_up,
-            updates_per_step: config.updates_per_step,
-        }
-    }
-}
+use crate::surprise::{Relabelled, Surprise};
 
 /// A replay, the draws from it, and the optimiser steps that are due.
 pub(crate) struct ReplayedExperience {
@@ -83,24 +50,36 @@ impl ReplayedExperience {
         libm::floor(self.settings.updates_per_step * learning as f64) as u64
     }
 
-    /// Stores an iteration's transitions and returns the number of optimiser steps that it makes due.
+    /// Stores an iteration's transitions, with the team's rewards, and returns the number of optimiser steps that it makes
+    /// due.
     ///
     /// # Errors
     /// If the batch does not match the problem; the error names the first invalid array.
-    pub(crate) fn add(&mut self, batch: &Batch, rewards: &Rewards) -> Result<u64, MarlError> {
+    pub(crate) fn add(
+        &mut self,
+        batch: &Batch,
+        rewards: &Relabelled<'_>,
+    ) -> Result<u64, MarlError> {
         let agents = self.problem.agents.len();
         batch.check(&self.problem, self.chunk_steps, &vec![0; agents])?;
-        check_rewards(rewards, agents, batch.rows())?;
+        check_rewards(&rewards.rewards, agents, batch.rows())?;
         let before = self.replay.rows_added();
-        // Without surprise every agent's reward is the team's, which the replay stores once.
         self.replay.add(batch)?;
         Ok(self.due(self.replay.rows_added()) - self.due(before))
     }
 
-    /// The transitions of optimiser step `step` of `iteration`.
-    pub(crate) fn sample(&self, iteration: u64, step: u32) -> Sample {
+    /// The transitions of optimiser step `step` of `iteration`, whose rewards contain the surprise if there is one.
+    ///
+    /// # Errors
+    /// If a tensor operation of a density fails.
+    pub(crate) fn sample(
+        &self,
+        (iteration, step): (u64, u32),
+        surprise: Option<&Surprise>,
+    ) -> Result<Sample, MarlError> {
         let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step);
-        self.replay.sample(self.settings.batch, self.horizon, &mut generator(self.seed, draw))
+        let mut rng = generator(self.seed, draw);
+        self.replay.sample(self.settings.batch, self.horizon, surprise, &mut rng)
     }
 
     /// The policies for acting: uniform during the warm-up.

@@ -28,6 +28,7 @@ use crate::rules::on_policy::agent::Agent;
 use crate::rules::on_policy::ascent::{AgentInputs, AscentMetrics, PolicyChange};
 use crate::rules::on_policy::experience::{Experience, Influence};
 use crate::state::{StoredState, Visitor};
+use crate::surprise::Relabelled;
 
 /// A rule's update of the policies. The rest of an update is the same for all on-policy rules.
 pub(crate) trait PolicyUpdate: Send + Sync {
@@ -79,10 +80,10 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
     fn update(
         &mut self,
         batch: &Batch,
-        rewards: &Rewards,
+        rewards: &Relabelled<'_>,
         iteration: u64,
     ) -> Result<Report, MarlError> {
-        let Some(prepared) = self.team.prepare(batch, rewards, iteration)? else {
+        let Some(prepared) = self.team.prepare(batch, &rewards.rewards, iteration)? else {
             return Ok(skipped_report());
         };
         let Team { agents, critic, seed, .. } = &mut self.team;

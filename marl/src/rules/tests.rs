@@ -13,7 +13,7 @@ use crate::config::{DensityKind, Sharing};
 use crate::data::batch::{Batch, Rewards};
 use crate::rules::algorithm::Report;
 use crate::sample;
-use crate::surprise::Surprise;
+use crate::surprise::{Relabelled, Surprise};
 
 const RULES: [(Rule, Sharing); 3] = [
     (Rule::Happo, Sharing::Separate),
@@ -54,8 +54,12 @@ fn batch_for(config: &TrainingConfig) -> Batch {
     batch
 }
 
-fn plain(batch: &Batch) -> Rewards {
-    vec![batch.reward.clone(); 2]
+pub(super) fn plain(batch: &Batch) -> Relabelled<'static> {
+    given(vec![batch.reward.clone(); 2])
+}
+
+fn given(rewards: Rewards) -> Relabelled<'static> {
+    Relabelled { rewards, surprise: None }
 }
 
 fn numbers(arrays: &NamedArrays, prefix: &str) -> Vec<f64> {
@@ -96,7 +100,7 @@ fn an_update_with_invalid_or_overflowing_numbers_is_skipped_and_counted() {
             let before = algorithm.arrays().unwrap();
             let mut batch = whole.clone();
             let mut rewards = plain(&batch);
-            change(&mut batch, &mut rewards);
+            change(&mut batch, &mut rewards.rewards);
             let report = algorithm.update(&batch, &rewards, 0).unwrap();
             assert_eq!(named(&report, "losses/update_skipped"), 1.0, "{rule:?} {case}");
             assert_eq!(algorithm.arrays().unwrap(), before, "{rule:?} {case}");
@@ -112,7 +116,7 @@ fn huge_rewards_give_a_finite_update() {
     for rule in RULES {
         let mut algorithm = algorithm(&config(rule));
         let batch = sample::batch();
-        let rewards = vec![batch.reward.iter().map(|reward| 1e30 * reward).collect(); 2];
+        let rewards = given(vec![batch.reward.iter().map(|reward| 1e30 * reward).collect(); 2]);
         for iteration in 0..3 {
             let report = algorithm.update(&batch, &rewards, iteration).unwrap();
             assert_finite(algorithm.as_mut(), &report, &rule);
@@ -133,7 +137,7 @@ fn equal_advantages_change_no_policy_and_are_counted() {
         let mut algorithm = algorithm(&config);
         let actors = |algorithm: &dyn Algorithm| algorithm.snapshot().unwrap().to_bytes().unwrap();
         let before = actors(algorithm.as_ref());
-        let rewards = vec![vec![1e30; batch.rows()]; 2];
+        let rewards = given(vec![vec![1e30; batch.rows()]; 2]);
         let report = algorithm.update(&batch, &rewards, 0).unwrap();
         assert_eq!(named(&report, "agent1/advantages_equal"), 1.0, "{rule:?}");
         assert_eq!(actors(algorithm.as_ref()), before, "{rule:?}");
@@ -143,11 +147,11 @@ fn equal_advantages_change_no_policy_and_are_counted() {
     }
 }
 
-/// The rewards with the surprise of a fitted density.
-fn relabelled(config: &TrainingConfig, batch: &Batch) -> Rewards {
+/// Densities fitted to a batch.
+fn fitted(config: &TrainingConfig, batch: &Batch) -> Surprise {
     let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
     surprise.refit(batch, 0).unwrap();
-    surprise.relabel(batch)
+    surprise
 }
 
 #[test]
@@ -160,7 +164,7 @@ fn constant_features_give_a_finite_update() {
         }
         let config = sample::config();
         let mut algorithm = algorithm(&config);
-        let report = algorithm.update(&batch, &relabelled(&config, &batch), 0).unwrap();
+        let report = algorithm.update(&batch, &fitted(&config, &batch).relabel(&batch), 0).unwrap();
         assert_finite(algorithm.as_mut(), &report, &still);
     }
 }
@@ -192,7 +196,7 @@ fn one_step_suffices_for_every_density_and_an_update() {
         let mut config = sample::config();
         config.surprise.density = density;
         let mut algorithm = build(&config, &policy, &sample::problem(), RunSeed(0)).unwrap();
-        let report = algorithm.update(&batch, &relabelled(&config, &batch), 0).unwrap();
+        let report = algorithm.update(&batch, &fitted(&config, &batch).relabel(&batch), 0).unwrap();
         assert_eq!(named(&report, "losses/update_skipped"), 0.0, "{density:?}");
         assert_finite(algorithm.as_mut(), &Report::new(), &density);
     }
@@ -283,7 +287,7 @@ fn nan_is_rejected_by_name_and_nothing_changes() {
         let mut algorithm = algorithm(&config);
         let before = algorithm.arrays().unwrap();
         let mut rewards = plain(&batch);
-        (batch.agents[1].action[3], rewards[1][3]) = (action, reward);
+        (batch.agents[1].action[3], rewards.rewards[1][3]) = (action, reward);
         let error = algorithm.update(&batch, &rewards, 0).unwrap_err().to_string();
         assert_eq!(error, expected);
         assert_eq!(algorithm.arrays().unwrap(), before, "{rule:?}");

@@ -44,11 +44,24 @@ impl AgentSurprise {
         self.density.fit(observations, context)?;
         let log_prob = self.density.log_prob(observations, context)?;
         (self.centre, self.fits) = (-entropy_bound(&log_prob), self.fits + 1);
-        let constant = self.density.omitted_constant();
-        self.scores = log_prob.iter().map(|l| l + constant).collect();
+        self.scores = self.without_constant(log_prob);
         let (mean, deviation) = mean_and_deviation(&self.scores);
         self.at_fit = (-self.centre, alpha * mean, alpha * deviation);
         Ok(())
+    }
+
+    /// The term that alpha multiplies, for each of the observations under the last fit, `[R]`.
+    pub(super) fn score(
+        &self,
+        observations: Observations<'_>,
+        context: DensityContext,
+    ) -> Result<Vec<f64>, MarlError> {
+        Ok(self.without_constant(self.density.log_prob(observations, context)?))
+    }
+
+    fn without_constant(&self, log_prob: Vec<f64>) -> Vec<f64> {
+        let constant = self.density.omitted_constant();
+        log_prob.into_iter().map(|l| l + constant).collect()
     }
 
     /// The term that alpha multiplies, for every row of the last batch, `[R]`.

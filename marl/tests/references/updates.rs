@@ -1,7 +1,7 @@
 //! Whole updates from PyTorch's initial weights to its final ones, with optimisers, normalisers and metrics.
 
 use marl::config::{CriticCore, Rule, Sharing};
-use marl::{Algorithm, Report, build};
+use marl::{Algorithm, Relabelled, Report, build};
 use policy::{Array, CoreKind, NamedArrays, RunSeed};
 
 use crate::file::{ReferenceValues, agree, numbers};
@@ -98,8 +98,8 @@ fn updated(reference: &ReferenceValues, case: Case) -> (NamedArrays, Report) {
     let mut algorithm = build(&config, &policy, &problem, case.seed).unwrap();
     let start = start(reference, algorithm.as_mut());
     algorithm.restore(&start).unwrap();
-    let rewards: Vec<Vec<f32>> =
-        (0..AGENTS).map(|agent| reference.single(&format!("batch/rewards_{agent}"))).collect();
+    let own = |agent| reference.single(&format!("batch/rewards_{agent}"));
+    let rewards = Relabelled { rewards: (0..AGENTS).map(own).collect(), surprise: None };
     let report = algorithm.update(&batch(reference), &rewards, 0).unwrap();
     (algorithm.arrays().unwrap(), report)
 }

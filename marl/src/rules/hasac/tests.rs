@@ -3,7 +3,7 @@
 use policy::Noise;
 
 use super::*;
-use crate::config::HasacConfig;
+use crate::config::{HasacConfig, Rule};
 use crate::data::batch::AgentShape;
 use crate::sample;
 
@@ -11,6 +11,7 @@ use crate::sample;
 fn configs() -> (TrainingConfig, PolicyConfig) {
     let mut config = sample::config();
     (config.critic.width, config.update.learning_rate) = (16, 1e-2);
+    config.update.rule = Rule::Hasac;
     let policy = PolicyConfig { width: 16, core: policy::CoreKind::Mlp, ..sample::policy() };
     (config, policy)
 }
@@ -36,15 +37,16 @@ fn normals(count: usize) -> Vec<f32> {
 }
 
 #[test]
-fn a_target_is_the_smaller_value_and_every_agents_entropy_or_the_reward_alone_at_the_end() {
+fn a_target_is_the_mean_reward_the_smaller_value_and_every_agents_entropy_or_the_reward_alone_at_the_end()
+ {
     let next = [[-1.0, 9.0], [4.0, 9.0]].map(|log_prob| {
         let mut drawn = DrawnActions::default();
         drawn.log_prob = log_prob.to_vec();
         drawn
     });
-    let mut sample = Sample::default();
-    (sample.reward, sample.discount) = (vec![1.0, 2.0], vec![0.9, 0.0]);
-    // 2 - (.5 (-1) + .25 * 4) = 1.5, and 1 + .9 * 1.5 = 2.35; the second step terminates.
+    let (reward, discount) = (vec![vec![1.5, 2.0], vec![0.5, 2.0]], vec![0.9, 0.0]);
+    let sample = Sample { reward, discount, ..Sample::default() };
+    // The agents' mean reward is 1. 2 - (.5 (-1) + .25 * 4) = 1.5, and 1 + .9 * 1.5 = 2.35; the second step terminates.
     let found = targets(&sample, [&[3.0, f32::NAN], &[2.0, 1.0]], &next, &[0.5, 0.25]);
     assert!((found[0] - 2.35).abs() < 1e-12 && found[1] == 2.0, "{found:?}");
 }

@@ -91,7 +91,7 @@ impl MaddpgAgent {
     /// The target actor's actions after `sample`, `[R, act]`.
     pub(super) fn next_actions(&self, sample: &Sample) -> Result<Tensor, MarlError> {
         let observation = &sample.next.observation[self.index];
-        Ok(self.actions(&self.target_actor, observation, sample.reward.len())?.detach())
+        Ok(self.actions(&self.target_actor, observation, sample.discount.len())?.detach())
     }
 
     /// One step of the action value towards its target, one ascent step of the actor on the action value, and an update
@@ -116,7 +116,7 @@ impl MaddpgAgent {
     fn targets(&self, sample: &Sample, next: &[Tensor]) -> Result<Vec<f64>, MarlError> {
         let input = self.joint_input(&sample.next.state, next)?;
         let values = numbers(&self.target_value.forward_as_constant(&input)?)?;
-        let parts = sample.reward.iter().zip(&sample.discount).zip(values);
+        let parts = sample.reward[self.index].iter().zip(&sample.discount).zip(values);
         Ok(parts.map(|((reward, discount), value)| reward + discount * value).collect())
     }
 
@@ -143,7 +143,7 @@ impl MaddpgAgent {
         sample: &Sample,
         mut joint: Vec<Tensor>,
     ) -> Result<(f64, f64), MarlError> {
-        let count = sample.reward.len();
+        let count = sample.discount.len();
         joint[self.index] =
             self.actions(&self.actor, &sample.now.observation[self.index], count)?;
         let output =
@@ -221,6 +221,20 @@ mod tests {
     use super::*;
     use crate::config::StateNorm;
     use crate::sample;
+
+    #[test]
+    fn the_target_after_a_termination_is_the_agents_own_reward() {
+        let (problem, config) = (sample::problem(), sample::config());
+        let mut drawn = Sample { reward: vec![vec![1.0], vec![2.0]], ..Sample::default() };
+        (drawn.discount, drawn.next.state) = (vec![0.0], vec![0.5; problem.state]);
+        let next = [1, 1].map(|rows| Tensor::zeros((rows, 3), DType::F32, &Device::Cpu).unwrap());
+        let target = |index| {
+            let agent =
+                MaddpgAgent::new(&config, &sample::policy(), &problem, RunSeed(0), index).unwrap();
+            agent.targets(&drawn, &next).unwrap()
+        };
+        assert_eq!([target(0), target(1)], [[1.0], [2.0]]);
+    }
 
     #[test]
     fn action_values_scale_states_with_feature_z() {

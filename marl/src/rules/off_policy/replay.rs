@@ -1,5 +1,6 @@
-//! Past transitions. Each state is stored once: the next state of a row is in the following row. Only after a
-//! truncation and after the newest step is the true final state stored separately.
+//! Past transitions. Each state is stored once: the next state of a row is in the following row. Only after the end of an
+//! episode and after the newest step is the true final state stored separately. Rewards are stored without surprise, which
+//! is that of the newest density when a transition is drawn.
 //!
 //! A transition of `S` state features, `O` observation features and `A` action dimensions of all agents takes
 //! `4 (S + O + A + 1) + 1` bytes: 249 bytes on `halfcheetah-2x3`, 637 on `halfcheetah-6x1`. A million of them take 0.25
@@ -13,6 +14,7 @@ use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::optimisation::minibatch::below;
 use crate::state::{ArrayShape, Elements, Visitor};
+use crate::surprise::Surprise;
 
 /// The episode continues after the step.
 const CONTINUES: u8 = 0;
@@ -53,7 +55,8 @@ pub(crate) struct NStepHorizon {
 /// The n-step target of a row.
 #[derive(Debug, PartialEq)]
 struct NStepTarget<'a> {
-    reward: f64,
+    /// The rows with the rewards before the bootstrap.
+    rows: Vec<&'a [f32]>,
     /// Discount of the bootstrapped value; 0 after a termination.
     discount: f64,
     /// State and observations to bootstrap from.
@@ -75,8 +78,8 @@ pub(crate) struct Sample {
     pub(crate) now: NetworkInputs,
     /// `[N][R, act]`.
     pub(crate) action: Vec<Vec<f32>>,
-    /// Discounted rewards before the bootstrap, `[R]`.
-    pub(crate) reward: Vec<f64>,
+    /// Every agent's discounted rewards before the bootstrap, `[N][R]`.
+    pub(crate) reward: Vec<Vec<f64>>,
     /// Discount of the bootstrapped value, `[R]`; 0 after a termination.
     pub(crate) discount: Vec<f64>,
     /// State and observations that the value is bootstrapped from.
@@ -164,7 +167,7 @@ impl Replay {
         );
         self.environments = batch.environments;
         let first = self.rows_added();
-        // The following row now contains the newest step's next state, except after a truncation.
+        // The following row now contains the newest step's next state, except after the end of an episode.
         let newest = first.saturating_sub(batch.environments as u64)..first;
         for row in newest {
             if self.ends[self.index(row)] == CONTINUES {
@@ -177,10 +180,8 @@ impl Replay {
         self.steps += batch.steps as u64;
         for last in &batch.finals {
             let row = last.step * batch.environments + last.environment;
-            if !batch.terminated[row] {
-                let seen = last.state.iter().chain(last.observation.iter().flatten()).copied();
-                self.finals.insert(first + row as u64, seen.collect());
-            }
+            let seen = last.state.iter().chain(last.observation.iter().flatten()).copied();
+            self.finals.insert(first + row as u64, seen.collect());
         }
         self.finals = self.finals.split_off(&self.oldest());
         Ok(())
@@ -215,48 +216,91 @@ impl Replay {
         &self.rows[self.index(row) * width..][..width]
     }
 
-    /// The n-step target: `sum_(k < m) gamma^k r_(t+k)`, `gamma^m`, and the state after step `t + m - 1`, where `m` is
-    /// `horizon.steps`, or fewer at the end of the episode or of the replay. A truncation and the newest step bootstrap
-    /// from the true final state; a termination does not bootstrap, and has the state before it instead.
+    /// The n-step target: the rows of the rewards `r_t` to `r_(t+m-1)`, `gamma^m`, and the state after step `t + m - 1`,
+    /// where `m` is `horizon.steps`, or fewer at the end of the episode or of the replay. The end of an episode and the
+    /// newest step have the true final state; a termination does not bootstrap from it.
     fn n_step_target(&self, row: u64, horizon: NStepHorizon) -> NStepTarget<'_> {
-        let mut reward = 0.0;
+        let mut rows = Vec::new();
         let mut discount = 1.0;
         let mut at = row;
         for _ in 0..horizon.steps {
             let here = self.row(at);
-            reward += discount * f64::from(here[here.len() - 1]);
+            rows.push(here);
             discount *= horizon.gamma;
+            let last = self.finals.get(&at).map(Vec::as_slice);
             if self.ends[self.index(at)] == TERMINATED {
-                return NStepTarget { reward, discount: 0.0, next: &here[..self.columns.seen()] };
+                // A replay that an earlier version stored has no final state here.
+                let next = last.unwrap_or(&here[..self.columns.seen()]);
+                return NStepTarget { rows, discount: 0.0, next };
             }
-            if let Some(next) = self.finals.get(&at) {
-                return NStepTarget { reward, discount, next };
+            if let Some(next) = last {
+                return NStepTarget { rows, discount, next };
             }
             at += self.environments as u64;
         }
-        NStepTarget { reward, discount, next: &self.row(at)[..self.columns.seen()] }
+        NStepTarget { rows, discount, next: &self.row(at)[..self.columns.seen()] }
     }
 
-    /// `count` transitions, sampled uniformly with replacement.
+    /// `count` transitions, sampled uniformly with replacement. With surprise, every reward is relabelled (Eq. 9).
+    ///
+    /// # Errors
+    /// If a tensor operation of a density fails.
     pub(crate) fn sample(
         &self,
         count: usize,
         horizon: NStepHorizon,
+        surprise: Option<&Surprise>,
         rng: &mut impl RngCore,
-    ) -> Sample {
+    ) -> Result<Sample, MarlError> {
         let mut sample = Sample::default();
+        let mut targets = Vec::with_capacity(count);
         for _ in 0..count {
             let row = self.oldest() + below(self.len(), rng) as u64;
             let here = self.row(row);
-            let seen = self.columns.seen();
             let target = self.n_step_target(row, horizon);
             self.columns.read(here, &mut sample.now);
-            split(&here[seen..], &self.columns.actions, &mut sample.action);
+            split(&here[self.columns.seen()..], &self.columns.actions, &mut sample.action);
             self.columns.read(target.next, &mut sample.next);
-            sample.reward.push(target.reward);
             sample.discount.push(target.discount);
+            targets.push(target.rows);
         }
-        sample
+        sample.reward = self.discounted(&targets, horizon.gamma, surprise)?;
+        Ok(sample)
+    }
+
+    /// `sum_k gamma^k r_k` of the rows of each target, per agent `[N][R]`. With surprise, each reward is the agent's with
+    /// the surprise of its own observation, otherwise the team's.
+    fn discounted(
+        &self,
+        targets: &[Vec<&[f32]>],
+        gamma: f64,
+        surprise: Option<&Surprise>,
+    ) -> Result<Vec<Vec<f64>>, MarlError> {
+        let mut seen = NetworkInputs::default();
+        let mut team = Vec::new();
+        for row in targets.iter().flatten() {
+            team.push(row[row.len() - 1]);
+            if surprise.is_some() {
+                self.columns.read(row, &mut seen);
+            }
+        }
+        let agents = match surprise {
+            Some(surprise) => surprise.rewards(&team, &seen.observation)?,
+            None => vec![team; self.columns.observations.len()],
+        };
+        let of_agent = |rewards: &Vec<f32>| {
+            let mut rewards = rewards.iter();
+            let target = |rows: &Vec<&[f32]>| {
+                let (mut sum, mut discount) = (0.0, 1.0);
+                for &reward in rewards.by_ref().take(rows.len()) {
+                    sum += discount * f64::from(reward);
+                    discount *= gamma;
+                }
+                sum
+            };
+            targets.iter().map(target).collect()
+        };
+        Ok(agents.iter().map(of_agent).collect())
     }
 
     /// Visits `replay/*`: the ring buffer as stored, and the final states with their rows.

@@ -45,7 +45,7 @@ mod tests {
     use crate::data::batch::{AgentBatch, AgentShape, Batch, Final, Problem};
     use crate::rules::algorithm::Report;
     use crate::rules::build;
-    use crate::rules::tests::named;
+    use crate::rules::tests::{named, plain};
     use crate::sample;
 
     const STEPS: usize = 20;
@@ -142,7 +142,7 @@ mod tests {
             ..sample::policy()
         };
         let mut algorithm = build(config, &policy, &problem(cue), RunSeed(0)).unwrap();
-        algorithm.update(batch, &vec![batch.reward.clone(); 2], 0).unwrap()
+        algorithm.update(batch, &plain(batch), 0).unwrap()
     }
 
     #[test]

@@ -137,6 +137,26 @@ fn weights_are_the_arrays_under_their_prefix_and_agents_with_shared_ones_act_equ
 }
 
 #[test]
+fn surprise_of_weight_zero_gives_the_weights_of_a_replay_without_surprise() {
+    for rule in [MADDPG, HASAC] {
+        let mut config = config(rule);
+        let batch = batch_for(&config);
+        let trained = |rewards: &Relabelled<'_>, config: &TrainingConfig| {
+            let mut algorithm = algorithm(config);
+            algorithm.update(&batch, rewards, 0).unwrap();
+            algorithm.weights().unwrap()
+        };
+        let without = trained(&plain(&batch), &config);
+        for (alpha, is_equal) in [(0.0, true), (0.01, false)] {
+            config.surprise.alpha = alpha;
+            let surprise = fitted(&config, &batch);
+            let with = trained(&surprise.relabel(&batch), &config);
+            assert_eq!(with == without, is_equal, "{rule:?} {alpha}");
+        }
+    }
+}
+
+#[test]
 fn rules_with_a_replay_do_not_learn_during_their_warm_up() {
     [MADDPG, HASAC].into_iter().for_each(assert_warm_up);
 }

@@ -4,6 +4,7 @@ use policy::arrays::Array;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use super::*;
+use crate::config::{DensityKind, SurpriseConfig};
 use crate::data::batch::{AgentBatch, AgentShape, Final};
 use crate::sample;
 use crate::state;
@@ -12,7 +13,8 @@ const HALF: NStepHorizon = NStepHorizon { gamma: 0.5, steps: 3 };
 
 fn problem() -> Problem {
     let usual = sample::problem().agents.remove(0);
-    Problem { agents: vec![AgentShape { observation: 1, action: 1, ..usual }], state: 1 }
+    let shape = AgentShape { observation: 1, action: 1, surprise_features: vec![0], ..usual };
+    Problem { agents: vec![shape], state: 1 }
 }
 
 /// `steps` steps of one environment from step `first`. The state is the step's number, the reward ten times it. `ends`
@@ -47,7 +49,8 @@ fn stretch(first: usize, steps: usize, ends: &[(usize, u8)]) -> Batch {
 /// Reward, discount and bootstrap state of a row.
 fn ahead(replay: &Replay, row: u64) -> (f64, f64, f32) {
     let target = replay.n_step_target(row, HALF);
-    (target.reward, target.discount, target.next[0])
+    let reward = replay.discounted(&[target.rows], HALF.gamma, None).unwrap();
+    (reward[0][0], target.discount, target.next[0])
 }
 
 #[test]
@@ -59,9 +62,53 @@ fn a_target_bootstraps_after_n_steps_from_a_truncation_and_never_from_a_terminat
     assert_eq!(ahead(&replay, 1), (20.0 + 15.0 + 10.0, 0.125, 4.5)); // ends with the truncation
     assert_eq!(ahead(&replay, 2), (30.0 + 20.0, 0.25, 4.5)); // two rewards before it
     assert_eq!(ahead(&replay, 3), (40.0, 0.5, 4.5));
-    let (reward, discount, _) = ahead(&replay, 4);
-    assert_eq!((reward, discount), (50.0 + 30.0, 0.0)); // terminated: no value follows
+    assert_eq!(ahead(&replay, 4), (50.0 + 30.0, 0.0, 6.5)); // terminated: the discount of what follows is 0
     assert_eq!(ahead(&replay, 6), (70.0 + 40.0, 0.25, 8.5)); // the newest step's true next state
+}
+
+/// Densities of the observations, which are numbers of steps.
+fn surprise(alpha: f64) -> Surprise {
+    let config = SurpriseConfig { alpha, density: DensityKind::DiagonalGaussian };
+    Surprise::new(&config, &problem(), RunSeed(0)).unwrap()
+}
+
+/// Sampled rewards by the step that they begin with.
+fn sampled(replay: &Replay, steps: usize, surprise: Option<&Surprise>) -> BTreeMap<u32, f64> {
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Replay));
+    let sample = replay.sample(200, NStepHorizon { steps, ..HALF }, surprise, &mut rng).unwrap();
+    let numbers = sample.now.state.iter().map(|&number| number as u32);
+    numbers.zip(sample.reward[0].iter().copied()).collect()
+}
+
+#[test]
+fn a_sampled_reward_contains_the_surprise_of_the_newest_density_alone() {
+    let (first, second) = (stretch(1, 2, &[]), stretch(3, 4, &[]));
+    let (mut replay, mut surprise) = (Replay::new(&problem(), 100), surprise(2.0));
+    // Each density is a Gaussian of its iteration's numbers: of 1 and 2 with mean 3/2 and variance 1/4, then of 3 to 6 with
+    // mean 9/2 and variance 5/4. Without its constant, the log-density is -log(variance) / 2 - (x - mean)^2 / (2 variance).
+    let by_hand = |x: f64, mean: f64, variance: f64| {
+        10.0 * x + 2.0 * (-0.5 * libm::log(variance) - (x - mean) * (x - mean) / (2.0 * variance))
+    };
+    for (batch, numbers, (mean, variance)) in
+        [(&first, 1..=2, (1.5, 0.25)), (&second, 1..=6, (4.5, 1.25))]
+    {
+        replay.add(batch).unwrap();
+        surprise.refit(batch, 0).unwrap();
+        // Rows are drawn many times, and twice from the same replay: nothing accumulates.
+        let found = sampled(&replay, 1, Some(&surprise));
+        assert_eq!(found, sampled(&replay, 1, Some(&surprise)));
+        assert_eq!(found.keys().copied().collect::<Vec<_>>(), numbers.collect::<Vec<_>>());
+        for (&x, reward) in &found {
+            let expected = by_hand(f64::from(x), mean, variance);
+            assert!((reward - expected).abs() < 1e-5, "{x}: {reward}, expected {expected}");
+        }
+    }
+    // Of two steps, the second one's reward with surprise counts half.
+    let (one, two) = (sampled(&replay, 1, Some(&surprise)), sampled(&replay, 2, Some(&surprise)));
+    assert!((two[&2] - (one[&2] + 0.5 * one[&3])).abs() < 1e-12);
+    // A step of the newest iteration has the reward with which rules without a replay learn from it.
+    let relabelled = surprise.relabel(&second).rewards;
+    assert_eq!(f64::from(relabelled[0][3]), one[&6]);
 }
 
 #[test]
@@ -81,7 +128,7 @@ fn the_oldest_rows_and_their_final_states_are_removed_and_not_sampled() {
     assert_eq!((replay.len(), replay.rows_added(), replay.oldest()), (5, 8, 3));
     assert_eq!(replay.finals.keys().copied().collect::<Vec<_>>(), [3, 7]);
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Replay));
-    let mut drawn = replay.sample(200, HALF, &mut rng).now.state;
+    let mut drawn = replay.sample(200, HALF, None, &mut rng).unwrap().now.state;
     drawn.sort_by(f32::total_cmp);
     drawn.dedup();
     assert_eq!(drawn, [4.0, 5.0, 6.0, 7.0, 8.0]);

@@ -11,6 +11,7 @@ use super::*;
 use crate::config::{Estimator, TrainingConfig};
 use crate::data::batch::{ActionKind, AgentBatch, AgentShape, Final, Problem};
 use crate::optimisation::tests::meets_finite_differences;
+use crate::rules::tests::plain;
 
 const SEED: RunSeed = RunSeed(3);
 const ITERATION: u64 = 4;
@@ -115,7 +116,7 @@ fn an_update_with_a_share_of_zero_is_that_of_independent_noise() {
         let policy = PolicyConfig { noise: shared, noise_loading: Some(0.7), ..sample::policy() };
         let mut algorithm = crate::build(&config, &policy, &problem, SEED).unwrap();
         algorithm.scale_noise(noise.unwrap_or(1.0));
-        algorithm.update(&batch, &vec![batch.reward.clone(); 2], ITERATION).unwrap();
+        algorithm.update(&batch, &plain(&batch), ITERATION).unwrap();
         algorithm.arrays().unwrap()
     };
     let independent = updated(None);
