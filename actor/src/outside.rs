@@ -83,7 +83,7 @@ impl EnvironmentService {
         move |state| {
             if state.len() > most {
                 let why = format!("it has {} bytes; a state has at most {most}", state.len());
-                return Err(StateError::External(why).into());
+                return Err(StateError(why).into());
             }
             let (position, rest) = read_header(state, longest)?;
             if states == States::Replayed {
@@ -364,7 +364,7 @@ impl OutsideEnvironments {
                     "its replay ends after step {} of {steps}; the environment must be deterministic",
                     step + 1
                 );
-                return Err(StateError::External(why).into());
+                return Err(StateError(why).into());
             }
         }
         Ok(())
@@ -378,7 +378,7 @@ fn of_state(error: SimError) -> SimError {
         own => return own,
     };
     match external {
-        Ok(error) if error.is_rejection() => StateError::External(error.to_string()).into(),
+        Ok(error) if error.is_rejection() => StateError(error.to_string()).into(),
         Ok(error) => (*error).into(),
         Err(other) => SimError::External(other),
     }

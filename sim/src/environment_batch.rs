@@ -4,7 +4,7 @@ use proto::{ActuatorSpec, AgentSpec, EnvironmentSpec, EpisodePosition};
 
 use crate::config::TaskConfig;
 use crate::environments::RobotEnvironments;
-use crate::error::{ActionError, SimError};
+use crate::error::{SimError, short};
 use crate::game::cue::Cue;
 use crate::game::jump::Jump;
 use crate::game::signal::Signal;
@@ -22,6 +22,9 @@ pub fn environments(
     config: &TaskConfig,
     count: usize,
 ) -> Result<Box<dyn EnvironmentBatch>, SimError> {
+    if count == 0 {
+        return Err(SimError::NoEnvironments);
+    }
     Ok(match config.task.as_str() {
         Cue::NAME => Box::new(GameEnvironments::<Cue>::new(config, count)?),
         Jump::NAME => Box::new(GameEnvironments::<Jump>::new(config, count)?),
@@ -195,10 +198,13 @@ pub fn check_actions(
     task: &EnvironmentSpec,
     environments: usize,
     actions: &[f32],
-) -> Result<(), ActionError> {
-    let (got, size) = (actions.len(), task.agents.iter().map(|agent| agent.action.size).sum());
+) -> Result<(), SimError> {
+    let got = actions.len();
+    let size: usize = task.agents.iter().map(|agent| agent.action.size).sum();
     if got != environments * size {
-        return Err(ActionError::Length { got, environments, size });
+        return Err(SimError::Action(format!(
+            "got {got} action values; {environments} environments need {environments} x {size}"
+        )));
     }
     let is_valid = |choices: Option<u32>, value: f32| match choices {
         Some(choices) => (0.0..choices as f32).contains(&value) && value.fract() == 0.0,
@@ -212,13 +218,15 @@ pub fn check_actions(
             let Some((index, &value)) = own.find(|(_, value)| !is_valid(choices, **value)) else {
                 continue;
             };
-            return Err(match choices {
-                Some(choices) => {
-                    let choices = choices as usize;
-                    ActionError::NoChoice { environment, agent, value, choices }
+            let why = match choices {
+                Some(choices) => format!("{value}, not one of {choices} choices"),
+                None => {
+                    let value = short(value);
+                    format!("{value} at index {index}; it must be a number from -1e6 to 1e6")
                 }
-                None => ActionError::Beyond { environment, agent, index, value },
-            });
+            };
+            let place = format!("the action of agent {agent} in environment {environment}");
+            return Err(SimError::Action(format!("{place} is {why}")));
         }
     }
     Ok(())

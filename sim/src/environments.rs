@@ -108,9 +108,6 @@ impl RobotEnvironments {
     /// Returns `count` environments in the robot's rest pose, in episode 0.
     pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
         let task = task::find(config)?;
-        if count == 0 {
-            return Err(SimError::NoEnvironments);
-        }
         let view = effective(&config.observation, &task.rules);
         let bounds = state_bounds(&task);
         let (description, observation) = describe::describe(&task, &view, &bounds);

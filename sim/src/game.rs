@@ -88,9 +88,6 @@ impl<G: Game> GameEnvironments<G> {
             let why = format!("{} has unscaled features only: {settings}", G::NAME);
             return Err(SimError::Task(why));
         }
-        if count == 0 {
-            return Err(SimError::NoEnvironments);
-        }
         let bounds = bounds::<G>();
         let game = G::from_numbers(&vec![0.0; bounds.coordinates.len()]);
         let position = EpisodePosition { episode: 0, step: 0, limit: EPISODE_STEPS };

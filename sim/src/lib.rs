@@ -27,7 +27,7 @@ pub use config::{
     TaskDefinition,
 };
 pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions, environments};
-pub use error::{ActionError, SimError, StateError};
+pub use error::{SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;
 pub use robot::{Actuator, Robot, Torque, one_document};

@@ -107,8 +107,8 @@ impl State {
     pub fn from_bytes(bytes: &[u8], bounds: &StateBounds) -> Result<Self, StateError> {
         let expected = bounds.bytes();
         if bytes.len() != expected {
-            let kind = bounds.kind.clone();
-            return Err(StateError::Length { got: bytes.len(), expected, kind });
+            let (got, kind) = (bytes.len(), &bounds.kind);
+            return invalid(format!("it has {got} bytes; a state of {kind} has {expected}"));
         }
         bounds.check_header(bytes)?;
         let end = if bounds.has_draws { expected - DRAWS_BYTES } else { expected };
@@ -154,7 +154,10 @@ impl EpisodeDraws {
         let is_disturbed = match u32::from_le_bytes(array(word)) {
             0 => false,
             1 => true,
-            got => return Err(StateError::Disturbed { got }),
+            got => {
+                let what = "the number that says whether it is disturbed";
+                return invalid(format!("{what} is {got}, not 0 or 1"));
+            }
         };
         Ok(Self { key: array(key), is_disturbed })
     }
@@ -178,7 +181,7 @@ impl StateBounds {
         {
             check_number("coordinate", index, value, low, high)?;
             if self.is_whole && value.fract() != 0.0 {
-                return Err(StateError::Fraction { field: "coordinate", index, value });
+                return invalid(format!("coordinate {index} is {value}, not a whole number"));
             }
         }
         for (index, &value) in velocities.iter().enumerate() {
@@ -187,7 +190,8 @@ impl StateBounds {
         for &index in &self.orientations {
             let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
             if (squared - 1.0).abs() > 1e-3 {
-                return Err(StateError::Orientation { index, squared });
+                let place = format!("the orientation at coordinate {index}");
+                return invalid(format!("{place} has squared length {squared}, not 1"));
             }
         }
         Ok(())
@@ -195,14 +199,15 @@ impl StateBounds {
 
     fn check_header(&self, bytes: &[u8]) -> Result<(), StateError> {
         if &bytes[..4] != MARK {
-            return Err(StateError::Mark);
+            return invalid("it does not start with the magic bytes of a state".to_owned());
         }
         let version = u32::from_le_bytes(array(&bytes[4..8]));
         if version != STATE_VERSION {
-            return Err(StateError::Version { got: version, expected: STATE_VERSION });
+            let own = STATE_VERSION;
+            return invalid(format!("its layout version is {version}; this program reads {own}"));
         }
         if u32::from_le_bytes(array(&bytes[8..12])) != fnv1a(&self.kind) {
-            return Err(StateError::Kind { kind: self.kind.clone() });
+            return invalid(format!("it is not a state of {}", self.kind));
         }
         Ok(())
     }
@@ -210,35 +215,41 @@ impl StateBounds {
     fn check_position(&self, position: EpisodePosition) -> Result<(), StateError> {
         let EpisodePosition { step, limit, .. } = position;
         if limit == 0 || limit > self.longest {
-            return Err(StateError::Limit { limit, longest: self.longest });
+            let longest = self.longest;
+            return invalid(format!("its episode limit is {limit}; it must be 1 to {longest}"));
         }
         if step >= limit {
-            return Err(StateError::Over { step, limit });
+            return invalid(format!("its episode is over: step {step} of {limit}"));
         }
         Ok(())
     }
 }
 
 /// Checks that all values are finite and between `-largest` and `largest`.
-fn check_all(field: &'static str, values: &[f32], largest: f32) -> Result<(), StateError> {
+fn check_all(field: &str, values: &[f32], largest: f32) -> Result<(), StateError> {
     let mut values = values.iter().enumerate();
     values.try_for_each(|(index, &value)| check_number(field, index, value, -largest, largest))
 }
 
 fn check_number(
-    field: &'static str,
+    field: &str,
     index: usize,
     value: f32,
     low: f32,
     high: f32,
 ) -> Result<(), StateError> {
     if !value.is_finite() {
-        return Err(StateError::NotFinite { field, index });
+        return invalid(format!("{field} {index} is not finite"));
     }
     if value < low || value > high {
-        return Err(StateError::Beyond { field, index, value, low, high });
+        let range = format!("it must be between {low} and {high}");
+        return invalid(format!("{field} {index} is {value}; {range}"));
     }
     Ok(())
+}
+
+fn invalid<T>(why: String) -> Result<T, StateError> {
+    Err(StateError(why))
 }
 
 fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {

@@ -20,13 +20,13 @@ pub(super) fn history(
     let Some((key, rest)) = past.split_first_chunk::<KEY_BYTES>().filter(|_| found == expected)
     else {
         let why = format!("its history has {found} bytes; {steps} steps have {expected}");
-        return Err(StateError::External(why).into());
+        return Err(StateError(why).into());
     };
     let (rest, _) = rest.as_chunks::<4>();
     let actions = rest.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
     if actions.iter().any(|action| !action.is_finite()) {
         let why = "its history has an action that is not finite".to_owned();
-        return Err(StateError::External(why).into());
+        return Err(StateError(why).into());
     }
     Ok((*key, actions))
 }
@@ -44,7 +44,7 @@ pub(super) fn read_header(
 ) -> Result<(EpisodePosition, &[u8]), SimError> {
     let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
         let why = format!("it has {} bytes; its header has {HEADER_BYTES}", bytes.len());
-        return Err(StateError::External(why).into());
+        return Err(StateError(why).into());
     };
     let number = u128::from_le_bytes(*header);
     let episode = number as u64;
@@ -52,7 +52,7 @@ pub(super) fn read_header(
     let limit = (number >> 96) as u32;
     if step >= limit || limit > longest {
         let why = format!("its step is {step} of {limit}; an episode has at most {longest} steps");
-        return Err(StateError::External(why).into());
+        return Err(StateError(why).into());
     }
     Ok((EpisodePosition { episode, step, limit }, rest))
 }
