@@ -182,9 +182,9 @@ impl Command {
             | Self::Watch(_)
             | Self::Eval(_)
             | Self::Inspect(_)
+            | Self::Tasks(_)
             | Self::Config(_)
             | Self::Completions(_) => CommandKind::Lines,
-            Self::Tasks(tasks) if tasks.picture.is_none() => CommandKind::Lines,
             _ => CommandKind::Work,
         }
     }

@@ -1,4 +1,4 @@
-//! Episodes and pictures of robots: animations, film strips, portraits with numbered joints, and what an episode measures.
+//! Episodes and pictures of robots: animations, film strips, and what an episode measures.
 //! Every link has the colour of the agent that drives it.
 
 mod animation;
@@ -8,7 +8,7 @@ mod episode;
 use anyhow::Context as _;
 use kuva::backend::png::PngBackend;
 use kuva::render::render::{Primitive, Scene, TextAnchor};
-use sim::{Capsule, EnvironmentBatch, LinkShape, Outcome, Pose, Robot};
+use sim::{Capsule, EnvironmentBatch, LinkShape, Pose};
 use tiny_skia::{BlendMode, Color, Pixmap, PixmapPaint, Transform};
 
 use crate::film::drawing::{Camera, HEIGHT, ProjectedCapsule, WIDTH};
@@ -76,18 +76,14 @@ pub(crate) fn strip(
     frames: &[TimedPose<'_>],
     view: ViewDirection,
 ) -> anyhow::Result<Vec<u8>> {
-    let (mut sheet, mut captions) = sheet(frames.len(), robot.agents)?;
+    let (mut sheet, mut captions) = white(size(frames.len(), robot.agents))?;
     for (index, (camera, capsules)) in views(robot, frames, view).iter().enumerate() {
         let (left, top) = place(index as u32);
         paste(&mut sheet, &drawing::panel(capsules, camera), left, top);
         captions.frame(camera, frames[index].time_secs, left, top);
     }
-    finished(sheet, captions, robot.agents)
-}
-
-/// A white sheet for `frames` and the legend of `agents`, and its captions.
-fn sheet(frames: usize, agents: usize) -> anyhow::Result<(Pixmap, Captions)> {
-    white(size(frames, agents))
+    label(&mut sheet, captions, robot.agents)?;
+    sheet.encode_png().context("cannot encode the picture")
 }
 
 /// A white sheet of a width and height in pixels, and its captions.
@@ -95,12 +91,6 @@ fn white((width, height): (u32, u32)) -> anyhow::Result<(Pixmap, Captions)> {
     let mut sheet = Pixmap::new(width, height).context("cannot allocate a picture of this size")?;
     sheet.fill(Color::WHITE);
     Ok((sheet, Captions::new(width, height)))
-}
-
-/// The PNG of a sheet with its legend and captions.
-fn finished(mut sheet: Pixmap, captions: Captions, agents: usize) -> anyhow::Result<Vec<u8>> {
-    label(&mut sheet, captions, agents)?;
-    sheet.encode_png().context("cannot encode the picture")
 }
 
 /// Draws the legend and all captions onto the sheet.
@@ -116,30 +106,6 @@ fn place(index: u32) -> (u32, u32) {
     (GAP + column * (WIDTH + GAP), GAP + row * (HEIGHT + CAPTION))
 }
 
-/// The PNG of a robot in a pose, seen from the side or, if it is wider than high, from above. `joints` are the places
-/// in the world, metres, that get the numbers from 1 on.
-///
-/// # Errors
-/// If the picture cannot be encoded.
-pub(crate) fn portrait(
-    robot: &RobotShapes,
-    joints: &[[f32; 3]],
-    pose: &Pose,
-) -> anyhow::Result<Vec<u8>> {
-    let view = broadest(robot, pose);
-    let frame = TimedPose { time_secs: 0.0, pose };
-    let (camera, capsules) = &views(robot, &[frame], view)[0];
-    let (mut sheet, mut captions) = sheet(1, robot.agents)?;
-    let mut panel = drawing::panel(capsules, camera);
-    let places = joints.iter().map(|&point| camera.pixel(view.plane(point)));
-    for (number, (x, y)) in (1..).zip(side_by_side(places)) {
-        drawing::sign(&mut panel, x, y);
-        captions.number(number, GAP as f32 + x, GAP as f32 + y);
-    }
-    paste(&mut sheet, &panel, GAP, GAP);
-    finished(sheet, captions, robot.agents)
-}
-
 /// The picture of a robot in a pose from the side, without captions: at the scale that leaves a margin around the pose
 /// `rest`, so that pictures of a motion have one scale, or at a smaller one if the pose needs it.
 pub(crate) fn still(robot: &RobotShapes, rest: &Pose, pose: &Pose) -> Pixmap {
@@ -153,84 +119,6 @@ pub(crate) fn still(robot: &RobotShapes, rest: &Pose, pose: &Pose) -> Pixmap {
 
 /// Scale of a picture as share of the largest at which the rest pose fits.
 const REST_SCALE: f32 = 0.75;
-
-/// From above if the robot is wider than high.
-fn broadest(robot: &RobotShapes, pose: &Pose) -> ViewDirection {
-    let extent = |view| {
-        let capsules = drawing::capsules(robot, pose, view);
-        let edges = capsules.iter().flat_map(|capsule| {
-            capsule.ends.map(|[_, up]| (up - capsule.radius, up + capsule.radius))
-        });
-        let (low, high) = edges.fold((f32::MAX, f32::MIN), |(low, high), (bottom, top)| {
-            (low.min(bottom), high.max(top))
-        });
-        high - low
-    };
-    if extent(ViewDirection::Top) > extent(ViewDirection::Side) {
-        ViewDirection::Top
-    } else {
-        ViewDirection::Side
-    }
-}
-
-/// The places of signs, pixels; those that would cover one before, such as the second of two hips, move to the right.
-fn side_by_side(places: impl Iterator<Item = (f32, f32)>) -> Vec<(f32, f32)> {
-    let apart = 2.0 * drawing::SIGN;
-    let mut signs: Vec<(f32, f32)> = Vec::new();
-    for (mut x, y) in places {
-        while signs.iter().any(|sign| (sign.0 - x).abs() < apart && (sign.1 - y).abs() < apart) {
-            x += apart;
-        }
-        signs.push((x, y));
-    }
-    signs
-}
-
-/// Joints closer than this hide each other's numbers, metres.
-const APART: f32 = 0.08;
-/// Limit of the steps that move legs apart.
-const MOST_STEPS: usize = 30;
-
-/// Steps the robot until at most one joint hides another, and returns the positions of all joints. Legs that are one
-/// behind the other move apart; their hips stay in one place.
-pub(crate) fn distinct_joints(world: &mut dyn EnvironmentBatch) -> anyhow::Result<Vec<[f32; 3]>> {
-    let anchors = world.robot().map(Robot::hinge_positions).unwrap_or_default();
-    let mut joints = places(world, &anchors);
-    for _ in 0..MOST_STEPS {
-        let hidden: Vec<bool> =
-            (0..joints.len()).map(|index| hidden(&joints[index], &joints[..index])).collect();
-        if hidden.iter().filter(|hidden| **hidden).count() <= 1 {
-            break;
-        }
-        // Of two joints in one place the first turns one way, the second the other.
-        let actions: Vec<f32> =
-            hidden.iter().map(|hidden| if *hidden { -1.0 } else { 1.0 }).collect();
-        world.step(&actions, &mut [Outcome::default()]).context("the robot cannot be moved")?;
-        joints = places(world, &anchors);
-    }
-    Ok(joints)
-}
-
-/// Whether a joint is at the position of one of the others.
-fn hidden(joint: &[f32; 3], others: &[[f32; 3]]) -> bool {
-    let near = |other: &[f32; 3]| {
-        let squares = joint.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
-        squares.sum::<f32>() < APART * APART
-    };
-    others.iter().any(near)
-}
-
-/// Positions of the joints that agents drive, in the order of their actions; `anchors` are their positions on their
-/// links.
-fn places(world: &dyn EnvironmentBatch, anchors: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let task = world.description();
-    let pose = world.pose(0);
-    let place = |name: &String| {
-        let index = pose.joints.iter().position(|joint| joint.name == *name)?;
-        Some(pose.links[pose.joints[index].link].in_world(anchors[index]))
-    };
-    task.agents.iter().flat_map(|agent| &agent.joints).filter_map(place).collect()
-}
 
 /// Frames side by side in a full row.
 const COLUMNS: u32 = 4;
@@ -320,12 +208,6 @@ impl Captions {
     fn agent(&mut self, agent: usize, x: u32, y: u32) {
         let baseline = f64::from(y + 5);
         self.write(format!("agent {agent}"), f64::from(x), baseline, TIME, TextAnchor::Start);
-    }
-
-    /// A joint's number around a point, pixels.
-    fn number(&mut self, number: usize, x: f32, y: f32) {
-        let baseline = f64::from(y) + 4.5;
-        self.write(number.to_string(), f64::from(x), baseline, METRE, TextAnchor::Middle);
     }
 
     /// Draws the captions onto the sheet.

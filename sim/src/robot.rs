@@ -290,12 +290,6 @@ impl Robot {
         self.blueprint.links.iter().flat_map(of_link).collect()
     }
 
-    /// Positions of the hinges in the frames of their child links, metres, in the order of a pose's joints.
-    pub fn hinge_positions(&self) -> Vec<[f32; 3]> {
-        let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
-        hinges.map(|hinge| hinge.anchor.to_array()).collect()
-    }
-
     /// Seconds that one environment step simulates.
     pub(crate) fn step_secs(&self) -> f64 {
         self.blueprint.timestep_secs * f64::from(self.frame_skip)

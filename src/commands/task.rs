@@ -2,7 +2,7 @@
 
 mod new;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
@@ -16,7 +16,7 @@ use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::film::{self, RobotShapes, TimedPose, ViewDirection};
 use crate::process::target::{ForceArguments, Target};
-use crate::process::{output, shell, target};
+use crate::process::{output, shell};
 
 /// Seed of the random actions.
 const SEED: RunSeed = RunSeed(0);
@@ -30,25 +30,12 @@ pub(crate) struct TasksArguments {
     /// Print one JSON array.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Draw every robot's partition into DIR/TASK.png, with links in the agents' colours and numbered joints.
-    #[arg(long, value_name = "DIR", conflicts_with = "json")]
-    pub(crate) picture: Option<PathBuf>,
-    /// Force.
-    #[command(flatten)]
-    pub(crate) force: ForceArguments,
 }
 
 /// A table, or a JSON array with every name.
 pub(super) fn list(arguments: &TasksArguments) -> anyhow::Result<()> {
-    let mut worlds: Vec<Box<dyn EnvironmentBatch>> =
+    let worlds: Vec<Box<dyn EnvironmentBatch>> =
         sim::task_names().iter().map(|name| world(name)).collect::<anyhow::Result<_>>()?;
-    if let Some(folder) = &arguments.picture {
-        target::option_folder("--picture", folder)?;
-        let robots = worlds.iter().filter(|world| world.robot().is_some());
-        let pictures = robots.map(|world| picture(folder, world.description()));
-        target::demand_free("--picture", pictures, arguments.force.existing())?;
-        return worlds.iter_mut().try_for_each(|world| draw(&mut **world, folder));
-    }
     let tasks: Vec<&EnvironmentSpec> = worlds.iter().map(|world| world.description()).collect();
     if arguments.json {
         output::line(serde_json::Value::from(
@@ -122,26 +109,6 @@ pub(super) fn run(command: &TaskCommand) -> anyhow::Result<()> {
 fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
     let config = RunConfig::with(&[task])?;
     sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
-}
-
-/// The file of a task's picture.
-fn picture(folder: &Path, task: &EnvironmentSpec) -> PathBuf {
-    folder.join(format!("{}.png", task.task))
-}
-
-/// Draws one picture and prints the names of its numbered joints; a game has no picture.
-fn draw(world: &mut dyn EnvironmentBatch, folder: &Path) -> anyhow::Result<()> {
-    let Some(robot) = RobotShapes::of(world) else { return Ok(()) };
-    let joints = film::distinct_joints(world)?;
-    let task = world.description();
-    let pose = world.pose(0);
-    let path = picture(folder, task);
-    target::file(&path, &film::portrait(&robot, &joints, &pose)?)?;
-    let names = task.agents.iter().flat_map(|agent| &agent.joints);
-    let numbers: Vec<String> =
-        (1..).zip(names).map(|(number, name)| format!("{number} {name}")).collect();
-    output::line(format!("{}: {}", path.display(), numbers.join(", ")));
-    Ok(())
 }
 
 fn as_json(task: &EnvironmentSpec) -> serde_json::Value {

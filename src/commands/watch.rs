@@ -20,9 +20,6 @@ pub(crate) struct WatchArguments {
     /// Run folder or learner.
     #[command(flatten)]
     pub(crate) learner: LearnerArgument,
-    /// Omit the lines of iterations up to and including this one [default: 0].
-    #[arg(long, value_name = "ITERATION")]
-    pub(crate) after: Option<u64>,
     /// Print one JSON object per line.
     #[arg(long)]
     pub(crate) json: bool,
@@ -50,8 +47,7 @@ struct Watch<'a> {
 
 impl<'a> Watch<'a> {
     fn new(arguments: &'a WatchArguments) -> Self {
-        let seen = arguments.after.unwrap_or_default();
-        Self { arguments, run_id: None, seen, reached: Instant::now() }
+        Self { arguments, run_id: None, seen: 0, reached: Instant::now() }
     }
 
     /// One learner after the other; gives up when none has been reached for as long as an outage may last.

@@ -190,8 +190,6 @@ const SHADOW: Rgb = [196, 201, 206];
 /// Colour of links that no agent drives.
 /// Width of the edge around a capsule, pixels.
 const EDGE: f32 = 1.5;
-/// Radius of a disc that holds a number, pixels.
-pub(super) const SIGN: f32 = 9.0;
 /// Length of a metre's mark on the floor, pixels.
 const TICK: f32 = 8.0;
 
@@ -207,12 +205,6 @@ pub(super) fn panel(capsules: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
     }
     capsules.iter().for_each(|capsule| draw(&mut pixmap, capsule, camera));
     pixmap
-}
-
-/// A white disc for a number.
-pub(super) fn sign(pixmap: &mut Pixmap, x: f32, y: f32) {
-    rounded(pixmap, [(x, y); 2], SIGN, FLOOR);
-    rounded(pixmap, [(x, y); 2], SIGN - EDGE, [255; 3]);
 }
 
 /// An agent's mark in the legend.

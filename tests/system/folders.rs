@@ -78,7 +78,6 @@ fn existing_files_are_replaced_only_on_request_and_no_folder_around_a_file_is_cr
         (&["record", run], "--out", "a.mcap"),
         (&["export", run], "--onnx", "onnx"),
         (&["plot", run], "--out", "figures"),
-        (&["tasks"], "--picture", "pictures"),
         (&["task", "new"], "", "task"),
     ] {
         let at = |path| {
