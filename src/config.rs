@@ -4,6 +4,7 @@
 mod conditions;
 pub(crate) mod effect;
 pub(crate) mod keys;
+pub(crate) mod known;
 pub(crate) mod layers;
 pub(crate) mod message_steps;
 pub(crate) mod own_task;

@@ -12,6 +12,8 @@ mod config {
     pub(crate) mod effect;
     #[path = "../../src/config/keys.rs"]
     pub(crate) mod keys;
+    #[path = "../../src/config/known.rs"]
+    pub(crate) mod known;
     #[path = "../../src/config/layers.rs"]
     pub(crate) mod layers;
     #[path = "../../src/config/message_steps.rs"]

@@ -6,7 +6,7 @@ use clap::CommandFactory as _;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::commands::Arguments;
-use crate::config::{keys, layers};
+use crate::config::{keys, known};
 use crate::process::output;
 use crate::run::VALUE_NAME;
 
@@ -86,7 +86,7 @@ fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
     if !takes_settings {
         return None;
     }
-    let meant = layers::spelled(flag.trim_start_matches('-'));
+    let meant = known::spelled(flag.trim_start_matches('-'));
     let meant: Vec<String> = meant.iter().map(|key| format!("{key}=VALUE")).collect();
     Some(if meant.is_empty() {
         "a setting is written key.path=value, such as run.seed=7".to_owned()

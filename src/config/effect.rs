@@ -170,7 +170,7 @@ mod tests {
     use proto::EnvironmentSpec;
 
     use super::*;
-    use crate::config::{Request, layers, presets};
+    use crate::config::{Request, known, presets};
 
     /// Settings that have an effect in every run. Where a run allows only one value, giving that value is right, not without
     /// effect.
@@ -259,7 +259,7 @@ mod tests {
         let listed: Vec<&str> = ALWAYS.iter().copied().chain(conditional).collect();
         let distinct: BTreeSet<&str> = listed.iter().copied().collect();
         assert_eq!(distinct.len(), listed.len(), "a setting is listed twice");
-        let known: BTreeSet<&str> = layers::names().collect();
+        let known: BTreeSet<&str> = known::names().collect();
         assert_eq!(distinct, known);
     }
 

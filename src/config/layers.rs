@@ -3,11 +3,11 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 
 use toml::{Table, Value};
 
 use super::keys;
+use super::known::{DEFAULTS, Values, first_inside, known, own_section, spelled, tip, wrong_kind};
 use super::own_task::OwnTask;
 use super::presets::{self, Preset};
 use super::resolved::{ConfigError, Resolved, line_and_message};
@@ -31,49 +31,6 @@ pub(crate) fn is_of_this_command(origin: &str) -> bool {
 
 /// A configuration file larger than this is a mistake. That of a run has the model of its task, of 4 MiB at most, with escapes.
 const FILE_LIMIT_BYTES: u64 = 12 << 20;
-
-/// Values by dotted path.
-type Values = BTreeMap<String, Value>;
-
-/// A value of the kind of a reward term's weight, which has no default here.
-static A_WEIGHT: Value = Value::Float(0.0);
-
-/// Every key of `configs/base.toml` with its default.
-static DEFAULTS: LazyLock<Values> = LazyLock::new(|| written_in(presets::BASE.text));
-
-/// The keys that a run has only if they are given, with what a run without them does.
-static OPTIONAL: LazyLock<Values> = LazyLock::new(|| written_in(&presets::optional()));
-
-/// Every key with its default, but the weights of reward terms. The section of one algorithm is in that algorithm's file
-/// alone, and so only in the settings of its runs.
-static KNOWN: LazyLock<Values> = LazyLock::new(|| {
-    let own = presets::ALGORITHMS.iter().copied().flat_map(own_section);
-    own.chain(DEFAULTS.clone()).chain(OPTIONAL.clone()).collect()
-});
-
-/// Whether a run without `key` does what it does with this `value`.
-pub(super) fn is_usual(key: &str, value: &Value) -> bool {
-    OPTIONAL.get(key) == Some(value)
-}
-
-/// The names in [`KNOWN`].
-pub(super) fn names() -> impl Iterator<Item = &'static str> {
-    KNOWN.keys().map(String::as_str)
-}
-
-/// The values of an algorithm's file whose keys `configs/base.toml` lacks, also in its comments.
-fn own_section(algorithm: Preset) -> Values {
-    let mut values = written_in(algorithm.text);
-    values.retain(|key, _| !DEFAULTS.contains_key(key) && !OPTIONAL.contains_key(key));
-    values
-}
-
-/// The values in a text of the program.
-fn written_in(text: &str) -> Values {
-    let table: Table = text.parse().expect("tests read every file of the program");
-    let values = keys::leaves(&table).into_iter().filter(|(_, value)| !value.is_table());
-    values.map(|(key, value)| (key, value.clone())).collect()
-}
 
 /// Values of one place.
 pub(super) struct SettingsLayer {
@@ -184,11 +141,6 @@ fn asked_layers(request: &Request) -> Result<Vec<SettingsLayer>, ConfigError> {
         layers.push(setting_layer(place, key, value)?);
     }
     Ok(layers)
-}
-
-/// The settings whose keys equal `word` apart from separators, with or without their section.
-pub(crate) fn spelled(word: &str) -> Vec<&'static str> {
-    keys::spelled(word, names())
 }
 
 /// Refuses a variable that spells a setting without being one, which would change nothing unnoticed.
@@ -350,44 +302,12 @@ fn setting_layer(place: &str, key: &str, text: &str) -> Result<SettingsLayer, Co
     Ok(SettingsLayer { place: place.to_owned(), source: Source::User, values })
 }
 
-/// The first key of the section `key`; `None` if it is no section.
-fn first_inside(key: &str) -> Option<&'static String> {
-    let section = format!("{key}.");
-    KNOWN.keys().find(|known| known.starts_with(&section))
-}
-
 /// The default under `key`, which the user names instead of a value.
 ///
 /// # Errors
 /// If there is no such setting.
 pub(crate) fn default_of(key: &str) -> Result<&'static Value, ConfigError> {
     known(COMMAND_LINE, key)
-}
-
-/// The default under `key`, whose kind a value must have.
-fn known(place: &str, key: &str) -> Result<&'static Value, ConfigError> {
-    if let Some(default) = KNOWN.get(key) {
-        return Ok(default);
-    }
-    if keys::weighted_term(key).is_some() {
-        return Ok(&A_WEIGHT);
-    }
-    if let Some(inside) = first_inside(key) {
-        let expected = format!("a table with keys such as `{inside}`");
-        return Err(wrong_kind(place, key, &expected, "a value"));
-    }
-    let tip = tip(key, KNOWN.keys().map(String::as_str));
-    Err(ConfigError::UnknownKey { place: place.to_owned(), key: key.to_owned(), tip })
-}
-
-fn wrong_kind(place: &str, key: &str, expected: &str, found: &str) -> ConfigError {
-    let found = found.split_whitespace().collect::<Vec<_>>().join(" ");
-    ConfigError::at(place, format!("`{key}` must be {expected}, found {found}"))
-}
-
-fn tip<'a>(word: &str, known: impl Iterator<Item = &'a str>) -> String {
-    let nearest = keys::nearest(word, known);
-    nearest.map_or_else(String::new, |name| format!("; did you mean `{name}`?"))
 }
 
 fn parsed(place: &str, text: &str) -> Result<Table, ConfigError> {

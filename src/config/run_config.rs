@@ -13,7 +13,7 @@ use sim::{ObservationNorm, TaskDefinition};
 use super::conditions::RunContext;
 use super::layers::{self, Request};
 use super::resolved::{ConfigError, Resolved, in_words};
-use super::{effect, keys, message_steps, own_task, rules};
+use super::{effect, keys, known, message_steps, own_task, rules};
 use crate::run::start;
 
 /// More actor processes than this on one machine are a mistake.
@@ -107,7 +107,7 @@ impl RunConfig {
         if request.resumed.is_none() || config.resolved.is_given(keys::START) {
             start::identify(&mut config)?;
         }
-        config.resolved.remove_usual(layers::is_usual);
+        config.resolved.remove_usual(known::is_usual);
         Ok(config)
     }
 
@@ -246,165 +246,4 @@ fn key_at(text: &str, offset: usize) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::presets;
-
-    #[test]
-    fn every_section_of_the_defaults_is_read() {
-        let resolved = RunConfig::with(&[]).unwrap().resolved;
-        let section = |key: &str| key.split_once('.').map(|(section, _)| section.to_owned());
-        let mut sections: Vec<String> =
-            resolved.entries.keys().filter_map(|key| section(key)).collect();
-        sections.dedup();
-        // The texts of a task file are read by their keys.
-        for unread in sections.iter().filter(|name| *name != "task_file") {
-            let mut without = resolved.clone();
-            without.entries.retain(|key, _| section(key).as_ref() != Some(unread));
-            let text = without.to_toml();
-            let is_whole = toml::from_str::<Sections>(&text).is_ok()
-                && toml::from_str::<marl::TrainingConfig>(&text).is_ok()
-                && toml::from_str::<learner::config::LearnerConfig>(&text).is_ok();
-            assert!(!is_whole, "no part of the program reads [{unread}]");
-        }
-    }
-
-    fn tasks_and_presets() -> Vec<(&'static str, &'static str)> {
-        let presets = || presets::PRESETS.iter().map(|preset| preset.name);
-        presets::TASKS.iter().flat_map(|task| presets().map(|preset| (task.name, preset))).collect()
-    }
-
-    #[test]
-    fn every_task_with_every_algorithm_and_preset_is_valid_but_games_with_a_replay_or_shared_noise()
-    {
-        for (task, preset) in tasks_and_presets() {
-            for algorithm in presets::ALGORITHMS {
-                let of_robots =
-                    ["maddpg", "hasac", "hasac-sm", "happo-shared", "happo-s2mia-exact"];
-                if sim::Robot::of_task(task).is_err() && of_robots.contains(&algorithm.name) {
-                    continue;
-                }
-                let algorithm = format!("algorithm={}", algorithm.name);
-                let config =
-                    RunConfig::with(&[task, &algorithm, &format!("preset={preset}")]).unwrap();
-                assert_eq!(config.task.task, task);
-                sim::environments(&config.task, 1).unwrap();
-            }
-        }
-    }
-
-    #[test]
-    fn an_external_environment_suits_every_algorithm_and_preset() {
-        let (url, harl) = ("environment_service.url=http://localhost:7", "preset=harl");
-        for algorithm in presets::ALGORITHMS {
-            for preset in presets::PRESETS {
-                let algorithm = format!("algorithm={}", algorithm.name);
-                RunConfig::with(&[url, &algorithm, &format!("preset={}", preset.name)]).unwrap();
-            }
-        }
-        assert_eq!(
-            RunConfig::with(&[url, harl]).unwrap().resolved.text("observation.norm"),
-            "feature_z"
-        );
-    }
-
-    #[test]
-    fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
-        for (algorithm, alpha, lambda, entropy) in [
-            ("happo", 0.0, 0.0, 0.01),
-            ("happo-sm", 0.01, 0.0, 0.0),
-            ("happo-sm-encoder", 0.01, 0.0, 0.0),
-            ("happo-smh", 0.01, 0.0, 0.01),
-            ("happo-s2mia", 0.01, 0.01, 0.0),
-            ("happo-mi", 0.0, 0.01, 0.0),
-            ("happo-0", 0.0, 0.0, 0.0),
-            ("happo-shared", 0.0, 0.0, 0.01),
-            ("happo-s2mia-exact", 0.01, 0.01, 0.0),
-        ] {
-            for (task, preset) in tasks_and_presets() {
-                let is_shared = ["happo-shared", "happo-s2mia-exact"].contains(&algorithm);
-                if task == "cue-2x1" && is_shared {
-                    continue;
-                }
-                let settings =
-                    [task, &format!("algorithm={algorithm}"), &format!("preset={preset}")];
-                let marl::TrainingConfig { update, surprise, influence, .. } =
-                    RunConfig::with(&settings).unwrap().training;
-                let harls = preset == "harl" && ["walker2d-2x3", "ant-4x2"].contains(&task);
-                let entropy = if algorithm == "happo" && harls { 0.0 } else { entropy };
-                let found = (surprise.alpha, influence.lambda, update.entropy);
-                assert_eq!(found, (alpha, lambda, entropy), "{settings:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn hasac_with_surprise_is_hasac_but_for_the_weight_of_surprise() {
-        let training =
-            |name: &str| RunConfig::with(&[&format!("algorithm={name}")]).unwrap().training;
-        let (mut plain, surprised) = (training("hasac"), training("hasac-sm"));
-        assert_eq!((plain.surprise.alpha, surprised.surprise.alpha), (0.0, 0.01));
-        plain.surprise.alpha = 0.01;
-        assert_eq!(plain, surprised);
-    }
-
-    #[test]
-    fn a_given_value_that_runs_have_without_it_leaves_the_settings_as_they_are() {
-        let toml = |settings: &[&str]| RunConfig::with(settings).unwrap().resolved.to_toml();
-        let shared =
-            ["algorithm=happo-shared", "policy.noise_hold=1", "policy.noise_decay_steps=0"];
-        assert_eq!(toml(&["policy.noise=independent"]), toml(&[]));
-        assert_eq!(toml(&shared), toml(&shared[..1]));
-        assert_ne!(toml(&[shared[0], "policy.noise_loading=0"]), toml(&shared));
-    }
-
-    #[test]
-    fn a_run_has_a_million_env_steps_unless_its_length_is_given() {
-        for (settings, iterations, env_steps) in [
-            (&["run.env_steps=1001"][..], 2, 2_000),
-            (&[], 1000, 1_000_000),
-            (&["run.iterations=5"], 5, 5_000),
-            (&["algorithm=maddpg", "run.iterations=5"], 5, 2_500),
-            (&["algorithm=hasac-sm", "run.iterations=5"], 5, 2_500),
-        ] {
-            let config = RunConfig::with(settings).unwrap();
-            let found = (config.iterations(), config.env_steps());
-            assert_eq!(found, (iterations, env_steps), "{settings:?}");
-        }
-    }
-
-    #[test]
-    fn a_value_out_of_range_is_laid_at_its_key_and_place() {
-        for (setting, key) in [
-            ("update.gamma=1.5", "update.gamma"),
-            ("update.learning_rate=-1", "update.learning_rate"),
-            ("environments.count=0", "environments.count"),
-            ("environments.message_steps=25", "environments.message_steps"),
-            ("policy.core=lstm", "policy.core"),
-            ("policy.hidden=0", "policy.hidden"),
-            ("observation.mode=eyes", "observation.mode"),
-            ("observation.norm=mean", "observation.norm"),
-            ("critic.core=lstm", "critic.core"),
-            ("critic.state_norm=mean", "critic.state_norm"),
-            ("run.seed=-1", "run.seed"),
-            ("run.actors=100000", "run.actors"),
-            ("run.env_steps=0", "run.env_steps"),
-            ("surprise.density=oracle", "surprise.density"),
-            ("influence.kappa=-1", "influence.kappa"),
-            ("influence.lag=2", "influence.lag"),
-            ("influence.estimator=count", "influence.estimator"),
-            ("lease.ttl_secs=0", "lease.ttl_secs"),
-            ("critic.clip=-1", "critic.clip"),
-            ("maddpg.replay=2000000", "maddpg.replay"),
-            ("maddpg.polyak=0", "maddpg.polyak"),
-            ("log.episodes=some", "log.episodes"),
-            ("log.episodes=0", "log.episodes"),
-        ] {
-            let message = RunConfig::with(&["halfcheetah-6x1", "algorithm=happo", setting])
-                .unwrap_err()
-                .to_string();
-            assert!(message.starts_with("command line: "), "{message}");
-            assert!(message.contains(key) && !message.contains('\n'), "{message}");
-        }
-    }
-}
+mod tests;

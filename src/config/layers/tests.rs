@@ -3,6 +3,7 @@
 use sim::Robot;
 
 use super::*;
+use crate::config::known::OPTIONAL;
 use crate::config::resolved::Entry;
 
 fn request(settings: &[&str]) -> Request {
