@@ -186,6 +186,8 @@ fn planned(
     settings.extend(of(&variant.settings));
     settings.extend([
         format!("run.seed={seed}"),
+        // A run that was made longer by itself may have its length here.
+        "run.iterations=0".to_owned(),
         format!("run.env_steps={env_steps}"),
         format!("run.actors={}", file.actors),
         format!("learner.threads={}", file.threads),

@@ -2,6 +2,7 @@
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::Write as _;
+use std::net::IpAddr;
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
@@ -25,9 +26,20 @@ pub(crate) struct CertsArguments {
         long,
         value_name = "HOST,...",
         value_delimiter = ',',
+        value_parser = host,
         default_value = "localhost,127.0.0.1,::1"
     )]
     pub(crate) names: Vec<String>,
+}
+
+/// Parses a host name or address, for clap.
+fn host(text: &str) -> Result<String, String> {
+    let is_part = |letter: char| letter.is_ascii_alphanumeric() || "-._*".contains(letter);
+    let is_name = !text.is_empty() && text.chars().all(is_part);
+    if is_name || text.parse::<IpAddr>().is_ok() {
+        return Ok(text.to_owned());
+    }
+    Err("must be host names or addresses without a port".to_owned())
 }
 
 /// Only the owner may read a private key.
@@ -99,4 +111,19 @@ fn instructions(folder: &Path) -> String {
          https://HOST:50051 --tls-ca {ca} --tls-certificate {actor} --tls-key {actor_key}",
         folder.display()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_certificate_is_for_host_names_and_addresses() {
+        for name in ["localhost", "*.example.org", "gpu_7", "10.0.0.5", "::1"] {
+            assert_eq!(host(name), Ok(name.to_owned()));
+        }
+        for text in ["", "a b", "https://learner", "learner:5", "[::1]"] {
+            assert!(host(text).is_err(), "{text}");
+        }
+    }
 }

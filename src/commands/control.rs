@@ -67,6 +67,7 @@ pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     if let Some(address) = address(of) {
         return Ok(Some(with_scheme(address)));
     }
+    RunFolder::demand_readable(Path::new(of)).map_err(|why| Usage::new(why.to_string()))?;
     if !Path::new(of).is_dir() {
         return Err(Usage::new(format!("`{of}` is no run folder, URL or HOST:PORT")).into());
     }

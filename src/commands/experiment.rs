@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use crate::errors::Usage;
 use crate::experiment::file::ExperimentFile;
 use crate::experiment::record::Record;
-use crate::experiment::run_state::{is_finished, listing};
+use crate::experiment::run_state::{is_finished, listing, mismatch};
 use crate::experiment::scheduler::{ExperimentProgress, Tally};
 use crate::experiment::submit::{self, Jobs, SlurmOptions};
 use crate::experiment::{
@@ -222,10 +222,18 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
     Ok((tally, stopped))
 }
 
-/// Refuses a report of nothing.
+/// Refuses a report of nothing. Tells which folders it leaves out, because they hold runs with other settings.
 fn demand_any(file: &ExperimentFile, runs: &[PlannedRun], record: &Record) -> Result<(), Usage> {
-    if runs.iter().any(|run| record.holds(run) || RunFolder::holds_run(&run.folder)) {
-        return Ok(());
+    let begun = |run: &&PlannedRun| !record.holds(run) && RunFolder::holds_run(&run.folder);
+    let left_out: Vec<String> = runs.iter().filter(begun).filter_map(mismatch).collect();
+    let reported = runs.iter().filter(|run| record.holds(run) || begun(run)).count();
+    match (reported - left_out.len(), left_out.first()) {
+        (0, None) => {}
+        (0, Some(why)) => return Err(Usage::new(why)),
+        _ => {
+            left_out.iter().for_each(output::line);
+            return Ok(());
+        }
     }
     let path = shell::path(&file.path);
     let shown = file.path.display();
@@ -264,8 +272,8 @@ fn finish(
         ));
     }
     let refused = format!(
-        "the folders of {misplaced} of {planned} runs hold other runs; \
-         remove those, or give the experiment another `folder`"
+        "the folders of {misplaced} of {planned} runs hold runs with other settings; \
+         restore the settings, or give the experiment another `folder`"
     );
     let tried = format!("{failed} of {planned} runs failed; the same command retries them");
     match (failed, misplaced) {

@@ -34,6 +34,7 @@ pub(super) fn run(arguments: &PackArguments) -> anyhow::Result<()> {
     target::check_parent("--out", &pack)?;
     run_path::demand_outside_runs(&pack)?;
     let recorded = Recorded::read(run)?;
+    recorded.demand_starts()?;
     let shown = pack.display();
     if pack.symlink_metadata().is_ok() {
         let why = format!("--out {shown}: already exists; name another place");

@@ -71,7 +71,9 @@ async fn train(
     let summary = summary?;
     let length = if config.resolved.depends_on_length() { Length::Fixed } else { Length::MayRise };
     let points = learning_curve::evaluations(&folder.join(METRICS))?;
-    let closing = Closing { folder: &folder, summary: &summary, length, elapsed: begin.elapsed() };
+    let twice = twice(&config, &summary);
+    let elapsed = begin.elapsed();
+    let closing = Closing { folder: &folder, summary: &summary, length, twice, elapsed };
     output::line(closing.text(&points));
     Ok(())
 }
@@ -90,6 +92,14 @@ fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
         config.actors(),
         chart::thousands(config.env_steps()),
     )
+}
+
+/// The setting that makes the run twice as long, by the key that decided its length.
+fn twice(config: &RunConfig, summary: &Summary) -> String {
+    match config.run.iterations {
+        0 => format!("run.env_steps={}", summary.env_steps * 2),
+        _ => format!("run.iterations={}", summary.iteration * 2),
+    }
 }
 
 /// Size of the curve in characters.
@@ -113,6 +123,8 @@ struct Closing<'a> {
     summary: &'a Summary,
     /// Whether it may be made longer.
     length: Length,
+    /// The setting that makes it twice as long.
+    twice: String,
     /// Duration of this session.
     elapsed: Duration,
 }
@@ -139,7 +151,7 @@ impl Closing<'_> {
 
     fn next(&self) -> String {
         let run = shell::path(self.folder);
-        let twice = format!("run.iterations={}", self.summary.iteration * 2);
+        let twice = &self.twice;
         let train = match (self.summary.stopped_early, self.length) {
             (true, _) => format!("--resume {run}"),
             (false, Length::MayRise) => format!("--resume {run} {twice}"),
@@ -208,7 +220,9 @@ mod tests {
 
     fn text(summary: &Summary, length: Length) -> String {
         let (folder, elapsed) = (Path::new("runs/a"), Duration::from_secs(723));
-        Closing { folder, summary, length, elapsed }.text(&[(0.0, -3.25), (1_000_000.0, 2345.62)])
+        let twice = "run.iterations=500".to_owned();
+        let closing = Closing { folder, summary, length, twice, elapsed };
+        closing.text(&[(0.0, -3.25), (1_000_000.0, 2345.62)])
     }
 
     #[test]
@@ -229,10 +243,20 @@ mod tests {
     }
 
     #[test]
+    fn a_run_is_made_longer_by_the_setting_of_its_length() {
+        let next = |settings: &[&str]| twice(&RunConfig::with(settings).unwrap(), &summary());
+        assert_eq!(next(&["run.iterations=250"]), "run.iterations=500");
+        assert_eq!(next(&["run.env_steps=999_900"]), "run.env_steps=2000000");
+    }
+
+    #[test]
     fn a_shell_reads_the_next_commands_as_they_are_meant() {
         let (folder, elapsed) = (Path::new("my runs/it's/"), Duration::ZERO);
         let summary = summary();
-        let next = |length| Closing { folder, summary: &summary, length, elapsed }.text(&[]);
+        let next = |length| {
+            let twice = "run.iterations=500".to_owned();
+            Closing { folder, summary: &summary, length, twice, elapsed }.text(&[])
+        };
         let last = r"s2mia train --resume 'my runs/it'\''s/' run.iterations=500";
         assert!(next(Length::MayRise).ends_with(last), "{}", next(Length::MayRise));
         let last = r"'run.dir=my runs/it'\''s-longer' run.iterations=500";

@@ -40,6 +40,7 @@ fn verify(run: &Path, count: u64) -> anyhow::Result<String> {
     let recorded = Recorded::read(run)?;
     let fingerprint = rollout::rollout_fingerprint();
     resume::demand_same_program(run, fingerprint, recorded.config_sha256())?;
+    recorded.demand_starts()?;
     recorded.demand_checkpoints()?;
     let parts = verification::parts(&recorded.checkpoints, recorded.last());
     output::line(opening(&recorded, &parts)?);

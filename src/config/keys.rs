@@ -22,6 +22,12 @@ pub(crate) const START: &str = "policy.start";
 /// Key of the SHA-256 of these policies, which the program fills in.
 pub(crate) const START_SHA256: &str = "policy.start_sha256";
 
+/// Keys that change what an evaluation finds.
+pub(crate) const EVALUATED: [&str; 2] = ["evaluation.episodes", SAMPLED];
+
+/// Key of whether evaluations sample actions.
+pub(crate) const SAMPLED: &str = "evaluation.sampled";
+
 /// Keys and sections that affect where and when a run computes, never its result.
 const OPERATIONAL: &[&str] = &[
     "run.actors",
@@ -65,7 +71,7 @@ const EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 pub(super) fn switched_off(key: &str, value: &Value) -> &'static [&'static str] {
     match (key, *value == Value::Integer(0)) {
         ("run.iterations", false) => &["run.env_steps"],
-        ("evaluation.every_steps", true) => &["evaluation.episodes", "evaluation.sampled"],
+        ("evaluation.every_steps", true) => &EVALUATED,
         _ => &[],
     }
 }
@@ -112,7 +118,7 @@ pub(crate) fn nearest<'a>(
 pub(super) fn kind(default: &Value) -> &'static str {
     match default {
         Value::Boolean(_) => "true or false",
-        Value::Integer(_) => "a whole number",
+        Value::Integer(_) => "a whole number below 2^63",
         Value::Float(_) => "a finite number",
         _ => "text",
     }

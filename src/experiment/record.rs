@@ -12,8 +12,9 @@ use policy::arrays::hex;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-use super::PlannedRun;
 use super::run_state::last_lines;
+use super::{EVERY_STEPS, PlannedRun};
+use crate::config::keys::{EVALUATED, SAMPLED};
 use crate::figures::learning_curve::{Curve, Quantity};
 
 const HEADER: &str =
@@ -72,7 +73,7 @@ impl Record {
         let mut record = Self::default();
         for (line, number) in lines {
             let taken = record.take(line);
-            taken.with_context(|| format!("{}, line {number}: {line}", path.display()))?;
+            taken.with_context(|| format!("{}, line {number}, `{line}`", path.display()))?;
         }
         Ok(record)
     }
@@ -223,12 +224,15 @@ fn name(run: &PlannedRun) -> RunName {
     (run.task.clone(), run.variant.clone(), run.seed)
 }
 
-/// SHA-256 of the settings that decide what the run computes, and how often and on how many episodes it is evaluated.
+/// SHA-256 of the settings that decide what the run computes and how it is evaluated. Only an evaluation that samples actions adds
+/// that setting.
 fn settings_sha256(run: &PlannedRun) -> String {
     let settings = &run.config.resolved;
     let mut hasher = Sha256::new_with_prefix(settings.sha256());
-    for key in ["evaluation.every_steps", "evaluation.episodes"] {
-        hasher.update(format!("{key} = {}\n", settings.shown(key)));
+    for key in [EVERY_STEPS].into_iter().chain(EVALUATED) {
+        if key != SAMPLED || run.config.learner.evaluation.sampled {
+            hasher.update(format!("{key} = {}\n", settings.shown(key)));
+        }
     }
     hex(&hasher.finalize())
 }
@@ -306,7 +310,11 @@ mod tests {
         let mut record = Record::default();
         record.add(&runs[0], &curve).unwrap();
         assert!(record.holds(&runs[0]));
-        for other in ["settings.update.clip = 0.3", "settings.evaluation.episodes = 3"] {
+        for other in [
+            "settings.update.clip = 0.3",
+            "settings.evaluation.episodes = 3",
+            "settings.evaluation.sampled = true",
+        ] {
             let text =
                 SAMPLE.replace("settings.evaluation", &format!("{other}\nsettings.evaluation"));
             let file: ExperimentFile = toml::from_str(&text).unwrap();

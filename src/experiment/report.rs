@@ -23,7 +23,8 @@ pub(crate) fn is_part(name: &str) -> bool {
     TABLES.contains(&name) || figures.any(is_figure)
 }
 
-/// Writes `results.md`, `results.csv` and the figures of the runs that exist. Returns the table and the paths.
+/// Writes `results.md` and `results.csv` if a run is finished, and the figures of the runs that exist. Returns the table and the
+/// paths.
 pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
@@ -38,8 +39,11 @@ pub(crate) fn write(
         let compared = comparisons(&measured, &variants, &file.baseline, measure);
         table += &over_all_tasks(&compared, &file.baseline, measure.name());
     }
-    let mut written =
-        vec![put(&file.folder, TABLES[0], &table)?, put(&file.folder, TABLES[1], &csv(&rows))?];
+    let mut written = Vec::new();
+    if !measured.is_empty() {
+        written.push(put(&file.folder, TABLES[0], &table)?);
+        written.push(put(&file.folder, TABLES[1], &csv(&rows))?);
+    }
     curves.retain(|curve| !curve.of(Quantity::Return).is_empty());
     if !curves.is_empty() {
         written.extend(figures::write_learning_curve(&file.folder, &curves)?);

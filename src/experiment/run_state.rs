@@ -10,7 +10,10 @@ use serde_json::Value;
 
 use super::file::ExperimentFile;
 use super::record::Record;
-use super::{PlannedRun, report};
+use super::{EVERY_STEPS, PlannedRun, report};
+use crate::config::ConfigError;
+use crate::config::keys::{EVALUATED, URL};
+use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart;
 use crate::run::resume;
@@ -54,7 +57,7 @@ pub(crate) enum Ending {
     Stopped,
     /// The run failed, with the reason.
     Failed(String),
-    /// The folder holds another run, with the difference.
+    /// The folder holds a run with other settings, with the difference.
     Misplaced(String),
 }
 
@@ -83,8 +86,31 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     if !RunFolder::holds_run(&run.folder) {
         return None;
     }
-    let same = config_of_run(&run.folder).and_then(|old| resume::check(&old, &run.config));
-    same.err().map(|error| format!("{} holds another run: {error}", run.folder.display()))
+    let same = config_of_run(&run.folder).and_then(|old| {
+        resume::check(&old, &run.config)?;
+        demand_same_evaluations(&old, &run.config)
+    });
+    same.err().map(|error| format!("{} has other settings: {error}", run.folder.display()))
+}
+
+/// Refuses a run whose evaluations find something else than those of `planned`, or are at other steps unless the plan is longer.
+fn demand_same_evaluations(old: &RunConfig, planned: &RunConfig) -> Result<(), ConfigError> {
+    let is_longer = planned.iterations() > old.iterations();
+    let shown = |config: &RunConfig, key: &str| config.resolved.shown(key);
+    let differs = |key: &&str| match *key {
+        // The description of an external environment is compared when the run resumes.
+        URL => planned.environment.url.is_empty() != old.environment.url.is_empty(),
+        EVERY_STEPS if is_longer => false,
+        key => shown(planned, key) != shown(old, key),
+    };
+    match [URL, EVERY_STEPS].into_iter().chain(EVALUATED).find(differs) {
+        None => Ok(()),
+        Some(key) => {
+            let (old, new) = (shown(old, key), shown(planned, key));
+            let detail = format!("`{key}` is {new}, but the run was evaluated with {old}");
+            Err(ConfigError::at(planned.resolved.origin(key), detail))
+        }
+    }
 }
 
 /// One line per run, and one for all.
@@ -198,10 +224,24 @@ mod tests {
         let same = run.config.resolved.to_toml();
         std::fs::write(run.folder.join("config.toml"), &same).unwrap();
         assert_eq!(mismatch(&run), None);
-        let other = same.replace("gamma = 0.99", "gamma = 0.98");
-        std::fs::write(run.folder.join("config.toml"), other).unwrap();
-        let why = mismatch(&run).unwrap();
-        assert!(why.contains("holds another run") && why.contains("`update.gamma`"), "{why}");
+        for (from, to, words) in [
+            ("gamma = 0.99", "gamma = 0.98", "`update.gamma` cannot change"),
+            ("env_steps = 8000", "env_steps = 16000", "`run.env_steps` cannot change"),
+            ("episodes = 10", "episodes = 3", "`evaluation.episodes` is 10, but the run was"),
+            ("sampled = false", "sampled = true", "evaluated with true"),
+            ("every_steps = 4000", "every_steps = 2000", "evaluated with 2000"),
+            ("url = \"\"", "url = \"http://localhost:7\"", "evaluated with \"http://localhost:7\""),
+        ] {
+            let other = same.replacen(from, to, 1);
+            assert_ne!(other, same, "{from}");
+            std::fs::write(run.folder.join("config.toml"), other).unwrap();
+            let why = mismatch(&run).unwrap();
+            assert!(why.contains("has other settings: ") && why.contains(words), "{why}");
+        }
+        let shorter = same.replacen("env_steps = 8000", "env_steps = 4000", 1);
+        let shorter = shorter.replacen("every_steps = 4000", "every_steps = 2000", 1);
+        std::fs::write(run.folder.join("config.toml"), shorter).unwrap();
+        assert_eq!(mismatch(&run), None, "a run that becomes longer may have a default of its own");
     }
 
     #[test]

@@ -34,7 +34,7 @@ pub(crate) struct Tally {
     pub(crate) finished: usize,
     /// Failed runs.
     pub(crate) failed: usize,
-    /// Runs whose folders hold other runs.
+    /// Runs whose folders hold runs with other settings.
     pub(crate) misplaced: usize,
 }
 

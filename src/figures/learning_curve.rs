@@ -6,17 +6,18 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use kuva::render::layout::TickFormat;
-use learner::store::json_lines::JsonLinesReader;
 use learner::store::plain_file;
 use learner::store::run_folder::{CONFIG, METRICS, RunFolder};
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
+use crate::config::keys::EVALUATED;
 use crate::config::{Request, layers};
 use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
+use crate::run::recorded::all_lines;
 use crate::run::run_path::demand_run;
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
@@ -99,7 +100,7 @@ pub(crate) struct Curve {
     pub(crate) algorithm: String,
     /// Seed.
     pub(crate) seed: String,
-    /// Every other semantic setting; runs that differ in one are never aggregated.
+    /// Every other setting that affects the results and their evaluations; runs that differ in one are never aggregated.
     pub(crate) settings: BTreeMap<String, String>,
     /// Env steps and value, in order of env steps.
     pub(crate) points: BTreeMap<Quantity, Vec<(f64, f64)>>,
@@ -109,6 +110,11 @@ impl Curve {
     /// Env steps and values of a quantity; empty if the run has none.
     pub(crate) fn of(&self, quantity: Quantity) -> &[(f64, f64)] {
         self.points.get(&quantity).map_or(&[], Vec::as_slice)
+    }
+
+    fn is_of_the_run_of(&self, other: &Self) -> bool {
+        (&self.task, &self.algorithm, &self.seed, &self.settings)
+            == (&other.task, &other.algorithm, &other.seed, &other.settings)
     }
 }
 
@@ -153,7 +159,7 @@ pub(crate) struct Panel {
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     let folder = &RunFolder::of(folder);
     demand_run(folder)?;
-    let lines = lines(&folder.join(METRICS))?;
+    let lines = all_lines(&folder.join(METRICS))?;
     let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
     Ok(Curve { points, ..without_points(folder)? })
 }
@@ -163,8 +169,9 @@ pub(crate) fn without_points(folder: &Path) -> anyhow::Result<Curve> {
     let file = folder.join(CONFIG);
     plain_file::refusal(&file).map_or(Ok(()), Err).with_context(|| file.display().to_string())?;
     let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
-    let semantic = resolved.semantic().filter(|(key, _)| !SHOWN_ELSEWHERE.contains(key));
-    let settings = semantic.map(|(key, _)| (key.to_owned(), resolved.shown(key))).collect();
+    let keys = resolved.semantic().map(|(key, _)| key).chain(EVALUATED);
+    let keys = keys.filter(|key| !SHOWN_ELSEWHERE.contains(key));
+    let settings = keys.map(|key| (key.to_owned(), resolved.shown(key))).collect();
     Ok(Curve {
         task: resolved.text("task").to_owned(),
         algorithm: resolved.text("algorithm").to_owned(),
@@ -174,14 +181,22 @@ pub(crate) fn without_points(folder: &Path) -> anyhow::Result<Curve> {
     })
 }
 
-/// Reads all runs; refuses folders without any evaluation.
+/// Reads all runs; refuses folders without any evaluation, and runs that would count as several seeds although they are one.
 pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
-    let mut curves = Vec::new();
+    let mut curves: Vec<Curve> = Vec::new();
     for folder in folders {
         let curve = read(folder)?;
         if curve.of(Quantity::Return).is_empty() {
             let why =
                 format!("{} has no evaluation yet; see evaluation.every_steps", folder.display());
+            return Err(Usage::new(why).into());
+        }
+        if let Some(other) = curves.iter().position(|other| other.is_of_the_run_of(&curve)) {
+            let why = format!(
+                "{} and {} have the same settings and seed, so they are not two runs; name one of them",
+                folders[other].display(),
+                folder.display()
+            );
             return Err(Usage::new(why).into());
         }
         curves.push(curve);
@@ -191,12 +206,7 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
 
 /// Env steps and mean return of every evaluation in a `metrics.jsonl`; empty if there is none yet.
 pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
-    Ok(Quantity::Return.points(&lines(metrics)?))
-}
-
-fn lines(metrics: &Path) -> anyhow::Result<Vec<Value>> {
-    let read = JsonLinesReader::of(metrics.to_path_buf()).more();
-    Ok(read.with_context(|| format!("cannot read {}", metrics.display()))?.lines)
+    Ok(Quantity::Return.points(&all_lines(metrics)?))
 }
 
 /// Runs that differ only in their seed, by task and by the name that distinguishes them from the task's other runs.

@@ -15,6 +15,7 @@ use serde_json::Value;
 
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
+use crate::run::start;
 use crate::run::stored::{own_settings, settings_in};
 
 /// The lines of a file by their iteration.
@@ -68,6 +69,12 @@ impl Recorded {
         checkpoints.retain(|iteration| *iteration > 0);
         let folder = folder.to_path_buf();
         Ok(Self { folder, manifest, config, provenance, metrics, evaluations, checkpoints })
+    }
+
+    /// Refuses a run without a line of its start, or whose copy of the policies from which it started is damaged or gone.
+    pub(crate) fn demand_starts(&self) -> anyhow::Result<()> {
+        lines(&self.folder.join(STARTS))?;
+        start::demand_kept(&self.config.resolved, &self.folder)
     }
 
     /// Refuses a checkpoint that is damaged or does not belong to the other records.
@@ -150,8 +157,10 @@ fn lines(file: &Path) -> anyhow::Result<Vec<Value>> {
 pub(crate) fn all_lines(file: &Path) -> anyhow::Result<Vec<Value>> {
     let read = JsonLinesReader::of(file.to_path_buf()).more();
     let read = read.with_context(|| format!("cannot read {}", file.display()))?;
-    ensure!(read.damaged == 0, "{} has {} damaged lines", file.display(), read.damaged);
-    Ok(read.lines)
+    match read.first_damaged {
+        None => Ok(read.lines),
+        Some(line) => anyhow::bail!("{}, line {line}: is no JSON object", file.display()),
+    }
 }
 
 /// The lines of this kind; a line without a kind is one of an iteration.
@@ -159,9 +168,11 @@ fn of_kind(file: &Path, lines: &[Value], kind: &str) -> anyhow::Result<Lines> {
     let mut found = Lines::new();
     for line in lines.iter().filter(|line| line["kind"].as_str().unwrap_or("iteration") == kind) {
         let iteration = line["iteration"].as_u64();
-        let is_new = iteration.is_some_and(|it| found.insert(it, line.clone()).is_none());
-        let named = &line["iteration"];
-        ensure!(is_new, "{} has a second {kind} line for iteration {named}", file.display());
+        let iteration = iteration.with_context(|| {
+            format!("{} has a line without an iteration: {line}", file.display())
+        })?;
+        let is_new = found.insert(iteration, line.clone()).is_none();
+        ensure!(is_new, "{} has a second {kind} line for iteration {iteration}", file.display());
     }
     Ok(found)
 }

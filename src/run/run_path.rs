@@ -27,6 +27,7 @@ const LEARNER: &str = "http://127.0.0.1:50051";
 
 /// Refuses a folder that contains neither a run nor a checkpoint.
 pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
+    RunFolder::demand_readable(folder).map_err(|why| Usage::new(why.to_string()))?;
     let is_run = folder.join(CONFIG).is_file() || RunFolder::holds_run(folder);
     if is_run || checkpoint::is_checkpoint(folder) {
         return Ok(());

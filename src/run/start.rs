@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use learner::store::run_folder::START_POLICIES;
 use learner::store::{checkpoint, plain_file};
 use policy::PolicySnapshot;
@@ -76,6 +76,21 @@ pub(crate) fn policies(
     };
     demand_digest(resolved, &bytes)?;
     Ok(Some(bytes))
+}
+
+/// Refuses the run in `folder` if it started from trained policies and its copy of them is damaged or gone.
+pub(crate) fn demand_kept(resolved: &Resolved, folder: &Path) -> anyhow::Result<()> {
+    if resolved.text(START_SHA256).is_empty() {
+        return Ok(());
+    }
+    let (file, expected) = (folder.join(START_POLICIES), resolved.text(START_SHA256));
+    let found = Digest::of(&of_file(&file)?).to_string();
+    ensure!(
+        found == expected,
+        "{} has the SHA-256 {found}, the settings have {expected}",
+        file.display()
+    );
+    Ok(())
 }
 
 /// Why a run cannot start from the policies of the run `trained`, if it cannot. Sizes are compared when training begins.

@@ -19,6 +19,7 @@ use serde_json::Value;
 use tokio::runtime::Runtime;
 use tokio::sync::watch;
 
+use crate::config::keys::SAMPLED;
 use crate::config::run_config::RunConfig;
 use crate::process::{self, output, runtime};
 use crate::run::recorded::Recorded;
@@ -207,7 +208,7 @@ impl<'a> Verifier<'a> {
         let mut resolved = own.resolved;
         resolved.take_machine(&RunConfig::with(&[])?.resolved);
         resolved.set("run.dir", folder.display().to_string(), "verification");
-        resolved.set("evaluation.sampled", sampled, "verification");
+        resolved.set(SAMPLED, sampled, "verification");
         start::take_kept(&mut resolved, &self.recorded.folder);
         Ok(RunConfig::build(resolved)?)
     }

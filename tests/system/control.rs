@@ -72,7 +72,9 @@ fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     let mut watch = Background::start(&mut command(&["watch", of, "--max-outage-secs", "1.5"]));
     // The first line shows that the watcher has met the learner.
     watch.line();
-    learner.stop();
+    let told = learner.stop();
+    // The requests of actors that wait for work end without a refusal.
+    assert!(!told.contains("is refused"), "{told}");
     assert_eq!(watch.end().0, Some(1));
     let told = watch.log();
     let lines: Vec<&str> = told.lines().collect();

@@ -225,8 +225,8 @@ fn a_run_whose_folder_contains_another_run_fails_with_advice_and_the_others_cont
         "{told}"
     );
     assert!(told.contains("2 of 3 runs are finished"), "{told}");
-    let what_to_do = "the folders of 1 of 3 runs hold other runs; remove those, or give the \
-                      experiment another `folder`";
+    let what_to_do = "the folders of 1 of 3 runs hold runs with other settings; restore the settings, or give \
+                      the experiment another `folder`";
     assert!(told.contains(what_to_do) && !told.contains("retries them"), "{told}");
 }
 

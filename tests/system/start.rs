@@ -51,8 +51,15 @@ fn a_run_that_started_from_another_ends_with_the_same_bits_and_does_not_need_the
     assert_eq!(inspect(&again), inspect(&whole));
     let line = refused(&["train", "--resume", text(&again), "policy.start=halfcheetah-2x3"]);
     assert!(line.contains("`policy.start` cannot change on resume"), "{line}");
-    fs::remove_file(whole.join("start_policies.safetensors")).unwrap();
-    let line = failed(&["pack", text(&whole), "--out", text(&runs.folder("damaged"))], 1);
+    let (kept, packed) = (whole.join("start_policies.safetensors"), runs.folder("damaged"));
+    fs::copy(again.join("checkpoints/iter_00000004/policy.safetensors"), &kept).unwrap();
+    for command in [&["verify", text(&whole)][..], &["pack", text(&whole), "--out", text(&packed)]]
+    {
+        let line = failed(command, 1);
+        assert!(line.contains("/whole/start_policies.safetensors has the SHA-256 "), "{line}");
+    }
+    fs::remove_file(&kept).unwrap();
+    let line = failed(&["pack", text(&whole), "--out", text(&packed)], 1);
     assert!(line.contains("/whole/start_policies.safetensors: "), "{line}");
 }
 

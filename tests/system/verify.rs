@@ -142,6 +142,13 @@ fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
     fs::write(&manifest, content.replace("\"seed\": 7", "\"seed\": 8")).unwrap();
     assert!(doubted(&folder, 1).contains("manifest.json is missing, or it has been changed"));
 
+    let (folder, starts) = changed("starts", "starts.jsonl");
+    fs::write(&starts, "").unwrap();
+    let no_start = "starts.jsonl is missing or has no line";
+    assert!(doubted(&folder, 1).contains(no_start));
+    let line = failed(&["pack", text(&folder), "--out", text(&runs.folder("pack"))], 1);
+    assert!(line.contains(no_start), "{line}");
+
     let (folder, arrays) = changed("arrays", "checkpoints/iter_00000004/weights.safetensors");
     let mut bytes = fs::read(&arrays).unwrap();
     *bytes.last_mut().unwrap() ^= 1;

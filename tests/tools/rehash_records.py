@@ -51,6 +51,8 @@ def recorded_sha256(found: dict[str, str], every_steps: str) -> str:
     hasher = hashlib.sha256(bytes.fromhex(found["config_sha256"]))
     hasher.update(f"evaluation.every_steps = {every_steps}\n".encode())
     hasher.update(f"evaluation.episodes = {found['evaluation.episodes']}\n".encode())
+    if found["evaluation.sampled"] == "true":
+        hasher.update(b"evaluation.sampled = true\n")
     return hasher.hexdigest()
 
 

@@ -91,6 +91,7 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
         dict[str, Numbers], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
     ]:
         """Steps with an action of each agent. At the end of an episode, `agents` becomes empty."""
+        self.demand_running()
         seen, reward, terminated, truncated, info = self.advance(self._joint(actions))
         names = self.agents
         if terminated or truncated:
@@ -117,6 +118,8 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
 
     def _joint(self, actions: Mapping[str, Any]) -> Numbers:
         """The joint action `[A]`."""
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions is a {type(actions).__name__}; it maps the name of each agent to its action")
         if actions.keys() != self._names:
             named, agents = ", ".join(map(str, actions)), ", ".join(self.possible_agents)
             raise ValueError(f"the actions are of the agents {named or 'none'}; needed are those of {agents}")

@@ -60,6 +60,8 @@ class Simulator:
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
         given = options or {}
+        if not isinstance(given, Mapping):
+            raise ValueError(f"options is a {type(given).__name__}; it is a mapping such as {{'limit': 200}}")
         # PettingZoo's test resets with the option `options`.
         if unknown := given.keys() - {"limit", "options"}:
             raise ValueError(f"options has {', '.join(sorted(map(repr, unknown)))}; the option is 'limit'")
@@ -129,10 +131,14 @@ class OneEnvironment:
         """Observations of all agents in their order, `[O]`."""
         return np.frombuffer(self.simulator.native.observations(), np.float32)
 
-    def advance(self, joint: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
-        """Steps with the joint action `[A]`: observations `[O]`, reward, terminated, truncated and info."""
+    def demand_running(self) -> None:
+        """Raises `ValueError` if no episode is running."""
         if not self.is_running:
             raise ValueError("no episode is running; call reset()")
+
+    def advance(self, joint: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
+        """Steps with the joint action `[A]`: observations `[O]`, reward, terminated, truncated and info."""
+        self.demand_running()
         seen, reward, terms, efforts, terminated, truncated, fault = self.simulator.native.step(joint.tobytes())
         self.is_running = not (terminated[0] or truncated[0])
         observations = np.frombuffer(seen, np.float32)

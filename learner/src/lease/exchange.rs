@@ -259,6 +259,7 @@ impl Exchange {
         patience: Duration,
     ) -> Result<LeaseAnswer, Refusal> {
         let end = self.begun.elapsed() + patience;
+        let mut has_waited = false;
         loop {
             // Registered before the table is asked, so that no wake is missed in between.
             let mut freed = std::pin::pin!(self.work.notified());
@@ -270,7 +271,12 @@ impl Exchange {
                 (offer, idle.then(|| shared.table.next_deadline()).flatten())
             });
             let left = end.saturating_sub(self.begun.elapsed());
-            let pause = match offer? {
+            let offer = match offer {
+                // The connection closed meanwhile: no actor reads the answer.
+                Err(_) if has_waited => return Ok(retry(RETRY)),
+                offer => offer?,
+            };
+            let pause = match offer {
                 Offer::Lease(lease) => return Ok(LeaseAnswer::Lease(lease)),
                 Offer::Done => return Ok(LeaseAnswer::Done),
                 _ if left.is_zero() => return Ok(retry(RETRY)),
@@ -280,6 +286,7 @@ impl Exchange {
             };
             // Either way the table is asked again: woken, or an open lease may have ended.
             let _ = tokio::time::timeout(pause, freed).await;
+            has_waited = true;
         }
     }
 

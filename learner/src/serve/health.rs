@@ -62,6 +62,9 @@ fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError>
     let invalid = |error: tonic::transport::Error| wrong(innermost(&error));
     security::addresses::check_port(url).map_err(|port| wrong(port.to_string()))?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
+    if !matches!(endpoint.uri().scheme_str(), Some("http" | "https")) {
+        return Err(wrong("it begins with neither http:// nor https://".to_owned()));
+    }
     let Some(tls) = tls else { return Ok(endpoint) };
     let mut config = ClientTlsConfig::new()
         .ca_certificate(Certificate::from_pem(&tls.authority))

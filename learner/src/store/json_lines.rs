@@ -137,6 +137,8 @@ pub struct NewLines {
     pub lines: Vec<Value>,
     /// Number of whole lines that are no JSON objects.
     pub damaged: u64,
+    /// The first of them, counted from 1 among all new lines.
+    pub first_damaged: Option<usize>,
     /// Whether these are all lines, because the file is another one than before.
     pub from_the_start: bool,
 }
@@ -191,10 +193,14 @@ pub fn last_lines(path: &Path, bytes: u64) -> std::io::Result<Vec<Value>> {
 
 fn objects(text: &[u8]) -> NewLines {
     let mut new = NewLines::default();
-    for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+    for (line, number) in text.split(|byte| *byte == b'\n').zip(1..) {
         match serde_json::from_slice::<Value>(line) {
+            _ if line.is_empty() => {}
             Ok(line) if line.is_object() => new.lines.push(line),
-            _ => new.damaged += 1,
+            _ => {
+                new.damaged += 1;
+                new.first_damaged.get_or_insert(number);
+            }
         }
     }
     new

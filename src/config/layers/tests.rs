@@ -90,7 +90,7 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
         (&["zzzzzzzz=1"][..], "command line: unknown key `zzzzzzzz`"),
         (
             &["update.epochs=many"],
-            "command line: `update.epochs` must be a whole number, found `many`",
+            "command line: `update.epochs` must be a whole number below 2^63, found `many`",
         ),
         (
             &["update=3"],
@@ -238,7 +238,9 @@ fn the_section_of_one_algorithm_is_in_the_settings_of_its_runs_only() {
     }
     assert_eq!(own(&["hasac.batch=100"]), own(&["algorithm=hasac"]));
     assert!(refusal(&["hasac.bach=100"]).ends_with("did you mean `hasac.batch`?"));
-    assert!(refusal(&["hasac.batch=many"]).ends_with("must be a whole number, found `many`"));
+    assert!(
+        refusal(&["hasac.batch=many"]).ends_with("must be a whole number below 2^63, found `many`")
+    );
 }
 
 /// Whether base.toml's value of a setting was chosen here.

@@ -3,6 +3,7 @@
 use serde_json::json;
 
 use super::*;
+use crate::config::run_config::RunConfig;
 
 fn curve(algorithm: &str, seed: u64, points: &[(f64, f64)]) -> Curve {
     Curve {
@@ -31,6 +32,9 @@ fn evaluations_are_taken_from_the_lines_that_hold_one() {
     std::fs::write(&metrics, lines.join("\n")).unwrap();
     assert_eq!(evaluations(&metrics).unwrap(), [(0.0, -3.0), (8000.0, 12.5)]);
     assert_eq!(evaluations(&folder.path().join("none.jsonl")).unwrap(), []);
+    std::fs::write(&metrics, lines.map(|line| format!("{line}\n")).concat()).unwrap();
+    let error = evaluations(&metrics).unwrap_err().to_string();
+    assert!(error.ends_with("metrics.jsonl, line 4: is no JSON object"), "{error}");
 }
 
 #[test]
@@ -59,6 +63,30 @@ fn runs_with_other_settings_are_never_joined_and_are_told_apart_by_them() {
     let panels = returns(&[curve("happo", 1, &[(0.0, 1.0)]), other]);
     let labels: Vec<&str> = panels[0].series.iter().map(|s| s.label.as_str()).collect();
     assert_eq!(labels, ["happo update.clip=0.2 (seed 1)", "happo update.clip=0.3 (seed 1)"]);
+}
+
+#[test]
+fn runs_of_one_seed_are_refused_and_runs_that_are_evaluated_otherwise_are_not_joined() {
+    let runs = tempfile::tempdir().unwrap();
+    let run = |name: &str, settings: &[&str]| {
+        let settings = [&["algorithm=happo"], settings].concat();
+        let config = RunConfig::with(&settings).unwrap().resolved.to_toml();
+        let run = RunFolder::claim_new(&runs.path().join(name)).unwrap();
+        run.begin(&config, &json!({})).unwrap();
+        let line = r#"{"kind": "evaluation", "env_steps": 0, "mean": 1.0}"#;
+        std::fs::write(run.file(METRICS), format!("{line}\n")).unwrap();
+        run.path().to_path_buf()
+    };
+    let (first, again) = (run("first", &["run.seed=1"]), run("again", &["run.seed=1"]));
+    let other = run("other", &["run.seed=2"]);
+    let sampled = run("sampled", &["run.seed=3", "evaluation.sampled=true"]);
+    let refusal = read_all(&[first.clone(), other.clone(), again]).unwrap_err().to_string();
+    assert!(refusal.contains("again have the same settings and seed"), "{refusal}");
+    let panels = returns(&read_all(&[first, other, sampled]).unwrap());
+    let labels: Vec<&str> = panels[0].series.iter().map(|s| s.label.as_str()).collect();
+    let expected =
+        ["happo evaluation.sampled=false (2 seeds)", "happo evaluation.sampled=true (seed 3)"];
+    assert_eq!(labels, expected);
 }
 
 #[test]

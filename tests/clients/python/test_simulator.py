@@ -246,6 +246,8 @@ def test_environments_that_cannot_be_made_are_refused_in_one_line(make, message)
         (lambda env: env.step(rest(env) | {"agent_2": [1j, 0]}), "agent_2 is no array of numbers: it has the type complex128"),
         (lambda env: env.step(rest(env) | {"agent_4": np.zeros(2)}), "needed are those of agent_0, agent_1, agent_2, agent_3"),
         (lambda env: env.step({}), "the actions are of the agents none; needed"),
+        (lambda env: env.step([0.0]), "actions is a list; it maps the name of each agent to its action"),
+        (lambda env: env.reset(options=[9]), "options is a list; it is a mapping such as {'limit': 200}"),
         (lambda env: env.restore(b"s2st"), "invalid environment state: it has 4 bytes; a state of rapier/ant has "),
         (lambda env: env.reset(seed=-1), "seed is -1; it must be a whole number from 0 to"),
         (lambda env: env.reset(options={"limit": 0}), "limit is 0; it must be a whole number from 1 to 1000"),

@@ -39,6 +39,20 @@ impl RunFolder {
             && !checkpoint::is_checkpoint(path)
     }
 
+    /// Refuses a folder in which this user cannot look for a run.
+    ///
+    /// # Errors
+    /// Names the folder and the reason.
+    pub fn demand_readable(path: &Path) -> Result<(), FileError> {
+        let no_folder = [io::ErrorKind::NotADirectory, io::ErrorKind::InvalidFilename];
+        match path.join(MANIFEST).try_exists() {
+            Err(error) if !no_folder.contains(&error.kind()) => {
+                Err(FileError::of("read", path)(error))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The run, or the checkpoint outside any run, whose folder contains the folder `path`. `path` need not exist.
     #[must_use]
     pub fn around(path: &Path) -> Option<PathBuf> {
@@ -165,4 +179,19 @@ fn entries(folder: &Path) -> Result<Vec<std::ffi::OsString>, FileError> {
     let mut names = names.map_err(FileError::of("read", folder))?;
     names.sort();
     Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_cannot_be_read_is_refused_with_the_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let ring = folder.path().join("ring");
+        std::os::unix::fs::symlink(&ring, &ring).unwrap();
+        let line = RunFolder::demand_readable(&ring).unwrap_err().to_string();
+        assert!(line.contains("cannot read ") && line.contains("ring: Too many"), "{line}");
+        assert!(RunFolder::demand_readable(&folder.path().join("none")).is_ok());
+    }
 }
