@@ -97,9 +97,9 @@ impl SharedNoise {
         Ok(Tensor::from_vec(values, (action, self.size), &Device::Cpu)?)
     }
 
-    /// Largest magnitude of a learnt loading, so that no row exceeds [`LARGEST_LOADING`].
+    /// Largest magnitude of a learnt loading with a share of 1, so that no row exceeds [`LARGEST_LOADING`].
     fn limit(self) -> f32 {
-        self.share() * LARGEST_LOADING / (self.size as f32).sqrt()
+        LARGEST_LOADING / (self.size as f32).sqrt()
     }
 
     /// The constant loadings `[act, K]`; zeros if they are learnt.
@@ -107,12 +107,17 @@ impl SharedNoise {
         self.pattern(action, self.share() * self.loading.unwrap_or_default())
     }
 
-    /// The loadings `limit tanh(u)`, `[act, K]`, of parameters `u`, or the constant ones.
+    /// The loadings `share limit tanh(u)`, `[act, K]`, of parameters `u`, or the constant ones.
     pub(crate) fn loadings(self, u: Option<&Tensor>, action: usize) -> Result<Tensor, PolicyError> {
         let limit = f64::from(self.limit());
         match u {
             // tanh(u) = 2 sigmoid(2 u) - 1
-            Some(u) => Ok(sigmoid(&(u * 2.0)?)?.affine(2.0 * limit, -limit)?),
+            Some(u) => {
+                let whole = sigmoid(&(u * 2.0)?)?.affine(2.0 * limit, -limit)?;
+                // A tensor, because candle computes no gradient through `affine` by 0.
+                let share = Tensor::full(self.share(), whole.shape(), &Device::Cpu)?;
+                Ok((whole * share)?)
+            }
             None => Ok(Tensor::from_vec(self.constant(action), (action, self.size), &Device::Cpu)?),
         }
     }
@@ -133,7 +138,7 @@ pub(crate) struct GivenSignal {
 impl GivenSignal {
     /// Deviations of a policy with `sigma` `[act]`, and the parameters `u` `[act, K]` if its loadings are learnt.
     pub(crate) fn new(noise: SharedNoise, sigma: &[f32], u: Option<&[f32]>) -> Self {
-        let learnt = |u: &f32| noise.limit() * kernels::tanh(*u);
+        let learnt = |u: &f32| noise.share() * noise.limit() * kernels::tanh(*u);
         let constant = || noise.constant(sigma.len());
         let loadings = u.map_or_else(constant, |u| u.iter().map(learnt).collect());
         let rows = || loadings.chunks_exact(noise.size).zip(sigma);
