@@ -16,6 +16,7 @@ mod hostile_peers;
 mod logs;
 mod output;
 mod own_task;
+mod pack;
 mod page;
 mod processes;
 mod roles;
