@@ -147,7 +147,7 @@ def test_environments_whose_threads_cannot_start_are_stepped_in_that_of_python()
 
 
 def test_other_threads_of_python_run_while_environments_step():
-    envs = s2mia.vector_env("humanoid-17x1", 64)
+    envs = s2mia.vector_env("humanoid-17x1", 256)
     envs.reset()
     ticks, over = [], threading.Event()
 
