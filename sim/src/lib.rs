@@ -6,6 +6,7 @@
 //! encoded state and the actions: `reset` and `restore` both call the one function that rebuilds a world from bytes.
 
 mod action_scale;
+mod arrays;
 mod config;
 mod environment_batch;
 mod environments;

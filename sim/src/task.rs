@@ -26,7 +26,7 @@ pub(crate) use terms::Transition;
 use crate::config::{TaskConfig, TaskDefinition};
 use crate::error::SimError;
 use crate::game;
-use crate::robot::{MotorPlan, Place, PlaceMotion, Robot};
+use crate::robot::{MotorPlan, Neighbourhood, Place, PlaceMotion, Robot};
 
 /// A task, without its settings.
 pub(crate) struct Task {
@@ -295,22 +295,29 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     let state = Names::new("feature in its global state", &features);
     let driven = robot.actuators().flat_map(|actuator| actuator.moved);
     let driven = driven.map(|joint| ("agents", joint));
-    let near = robot.neighbourhood.edges.iter().flatten();
-    for (key, joint) in driven.chain(near.map(|joint| ("neighbourhood.edges", joint.as_str()))) {
+    let Neighbourhood { edges, touching, globals } = &robot.neighbourhood;
+    if edges.iter().any(|edge| edge.len() < 2) {
+        return Err(refused("neighbourhood.edges: an edge needs at least two joints; add one"));
+    }
+    let near = edges.iter().flatten().map(|joint| ("neighbourhood.edges", joint));
+    let touching_joints = touching.iter().map(|row| ("neighbourhood.touching.joint", &row.joint));
+    let stated = near.chain(touching_joints).map(|(key, joint)| (key, joint.as_str()));
+    for (key, joint) in driven.chain(stated) {
         for part in &robot.numbers_of(joint)[0] {
-            state.index(key, &format!("{part}.position"))?;
+            let feature = format!("{part}.position");
+            if robot.coordinate_names().contains(part) && !features.contains(&feature) {
+                let why = format!("`{part}` must be in the global state, {key} names its joint");
+                return Err(refused(format!("state.hidden: {why}; remove it")));
+            }
+            state.index(key, &feature)?;
         }
     }
-    for name in &robot.neighbourhood.globals {
+    for name in globals {
         state.index("neighbourhood.globals", name)?;
     }
     let bodies = Names::new("body", robot.bodies());
-    for row in &robot.neighbourhood.touching {
-        let coordinate = format!("{}.position", robot.numbers_of(&row.joint)[0][0]);
-        state.index("neighbourhood.touching.joint", &coordinate)?;
-        row.bodies
-            .iter()
-            .try_for_each(|body| bodies.index("neighbourhood.touching.bodies", body).map(|_| ()))?;
+    for body in touching.iter().flat_map(|row| &row.bodies) {
+        bodies.index("neighbourhood.touching.bodies", body)?;
     }
     Ok(())
 }

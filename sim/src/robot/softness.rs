@@ -2,6 +2,8 @@
 
 use serde::Deserialize;
 
+use crate::arrays;
+
 /// MuJoCo's integrator for a robot. The springs of soft constraints are integrated in the same way.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -42,6 +44,7 @@ pub(crate) struct SoftnessOverride {
     /// A spring with this time constant, s, and a damping ratio of 1 in place of [`Softness::reference`].
     pub(crate) time_constant_secs: Option<f32>,
     /// In place of [`Softness::impedance`].
+    #[serde(default, deserialize_with = "arrays::given")]
     pub(crate) impedance: Option<[f32; 2]>,
     /// In place of [`Softness::width`], m or rad.
     pub(crate) width: Option<f32>,

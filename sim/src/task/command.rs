@@ -7,6 +7,7 @@ use super::Motion;
 use super::definition::refused;
 use super::disturbance::ascending;
 use super::names::Names;
+use crate::arrays;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
 use crate::robot::{JointMap, MapKind, Orientation, Place, PlaceMotion, Robot};
@@ -21,10 +22,13 @@ pub(crate) struct CommandRow {
     /// Body whose velocity follows the target; absent: the root.
     pub(super) of: Option<String>,
     /// m/s along its x axis, projected onto the ground.
+    #[serde(deserialize_with = "arrays::given")]
     forward: Option<[f32; 2]>,
     /// m/s to the left of it.
+    #[serde(deserialize_with = "arrays::given")]
     sideways: Option<[f32; 2]>,
     /// rad/s about the vertical.
+    #[serde(deserialize_with = "arrays::given")]
     yaw: Option<[f32; 2]>,
 }
 

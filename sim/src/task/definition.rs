@@ -10,6 +10,7 @@ use super::command::{CommandRow, Heading};
 use super::disturbance::DisturbanceRow;
 use super::relations::{RelationRow, WorldAxis};
 use super::start::StartRow;
+use crate::arrays;
 use crate::error::{SimError, short};
 use crate::robot::{Neighbourhood, Orientation, Physics, RobotRow};
 use crate::spelling;
@@ -71,6 +72,7 @@ pub(crate) struct TermRow {
     /// Coordinate that `in_range` reads.
     pub(crate) coordinate: Option<String>,
     /// Bounds of `in_range`, included.
+    #[serde(default, deserialize_with = "arrays::given")]
     pub(crate) range: Option<[f32; 2]>,
     /// Point that `target_distance` measures to, one value per named coordinate, m.
     pub(crate) target: Option<BTreeMap<String, f32>>,
@@ -341,11 +343,26 @@ fn whole(key: &str, value: u32, most: u32) -> Result<(), SimError> {
     }
 }
 
-/// Parses TOML; an error names the line and, for an unknown key or value, the nearest known one.
+/// Names of types in messages of the TOML library, and what to write instead.
+const TYPES: [(&str, &str); 3] = [
+    ("expected u32", "expected a whole number from 0"),
+    ("expected f32", "expected a number"),
+    ("wanted string or table", "expected a word or a table, such as { uniform = 0.1 }"),
+];
+
+/// Parses TOML; an error names the line, the key and, for an unknown key or value, the nearest known one.
 fn typed<T: DeserializeOwned>(text: &str) -> Result<T, SimError> {
     toml::from_str(text).map_err(|error: toml::de::Error| {
         let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
         let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+        let message = TYPES.iter().fold(message, |text, (from, to)| text.replace(from, to));
+        let message = match message.split_once("expected struct ") {
+            Some((start, _)) => format!("{start}expected a table"),
+            None => message,
+        };
+        let start = before.rsplit('\n').next().and_then(|line| line.rsplit_once('='));
+        let key = start.and_then(|(key, _)| key.trim().rsplit([' ', '{', ',']).next());
+        let key = key.map(|key| format!(", `{key}`")).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
         let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
         let nearest = match (message.starts_with("unknown "), quoted.split_first()) {
@@ -353,6 +370,6 @@ fn typed<T: DeserializeOwned>(text: &str) -> Result<T, SimError> {
             _ => None,
         };
         let hint = nearest.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default();
-        refused(format!("line {line}: {message}{hint}"))
+        refused(format!("line {line}{key}: {message}{hint}"))
     })
 }

@@ -113,17 +113,15 @@ impl Start {
             start.coordinates.push((index, value - robot.reference()[index]));
         }
         let reach = farthest("start.velocities", start.velocities, bounds.fastest)?;
-        let slowest = bounds.fastest - reach;
-        if let Some((index, speed)) = start.speeds.iter().find(|(_, speed)| speed.abs() > slowest) {
-            let name = &robot.velocity_names()[*index];
-            let most = format!("at most {slowest} with the noise of start.velocities");
-            return Err(refused(format!(
-                "start.keyframe: the speed of `{name}` is {speed}, {most}"
-            )));
-        }
+        start.check_speeds(robot, bounds.fastest - reach)?;
         for (activation, [low, high]) in start.activations.iter().zip(&bounds.activations) {
             within("start.keyframe (an activation)", *activation, *low, *high)?;
         }
+        let names = robot.coordinate_names();
+        let key = |index: usize| match &row.keyframe {
+            Some(_) if !row.coordinates.contains_key(&names[index]) => "start.keyframe",
+            _ => "start.coordinates",
+        };
         let mut pose = robot.rest().to_vec();
         start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
         for first in &bounds.orientations {
@@ -133,7 +131,7 @@ impl Start {
             let reach = reaches[turn.clone()].iter().copied().fold(0.0, f32::max);
             within(place, reach, 0.0, if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST })?;
             let length = pose[turn].iter().map(|q| q * q).sum::<f32>().sqrt();
-            within("start.coordinates (length of a quaternion)", length, 0.99, 1.01)?;
+            within(&format!("{} (length of a quaternion)", key(*first)), length, 0.99, 1.01)?;
         }
         let turns = |index: usize| {
             bounds.orientations.iter().any(|first| (*first..first + 4).contains(&index))
@@ -142,14 +140,24 @@ impl Start {
             let reach = reaches[index];
             let is_within = value - reach >= *low && value + reach <= *high;
             if !turns(index) && !is_within {
-                let name = &robot.coordinate_names()[index];
                 return Err(refused(format!(
-                    "start.coordinates, with the noise: the start moves `{name}` out of {low}..={high}"
+                    "{}, with the noise: the start moves `{}` out of {low}..={high}",
+                    key(index),
+                    names[index]
                 )));
             }
         }
         start.orientations.clone_from(&bounds.orientations);
         Ok(start)
+    }
+
+    /// Refuses speeds above `slowest`, which the noise would raise above the bounds of a state.
+    fn check_speeds(&self, robot: &Robot, slowest: f32) -> Result<(), SimError> {
+        let fast = self.speeds.iter().find(|(_, speed)| speed.abs() > slowest);
+        let Some((index, speed)) = fast else { return Ok(()) };
+        let name = &robot.velocity_names()[*index];
+        let most = format!("at most {slowest} with the noise of start.velocities");
+        Err(refused(format!("start.keyframe: the speed of `{name}` is {speed}, {most}")))
     }
 
     /// Sets what differs from the rest pose without motion.
@@ -213,8 +221,8 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     let mut speeds = single(velocities);
     let mut positions = positions.clone();
     if !positions.is_empty() {
-        for orientation in &robot.layout.orientations {
-            let quaternion = &mut positions[orientation.coordinate..][..4];
+        for first in robot.layout.quaternions() {
+            let quaternion = &mut positions[first..first + 4];
             let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
             if length > 0.0 {
                 quaternion.iter_mut().for_each(|q| *q /= length);

@@ -346,7 +346,7 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
         (
             "[\"rootx\"]",
             "[\"hip\"]",
-            &["agents: the robot has no feature in its global state `hip.position`"],
+            &["state.hidden: `hip` must be in the global state, agents names its joint; remove it"],
         ),
         (
             "\"rooty.position\"",

@@ -6,6 +6,7 @@ use serde::Deserialize;
 use super::super::definition::{refused, within};
 use super::super::relations::WorldAxis;
 use super::super::start::Noise;
+use crate::arrays;
 use crate::error::{SimError, short};
 
 /// Largest delay, steps. A state has an action or a measurement for each.
@@ -22,16 +23,22 @@ pub(crate) struct DisturbanceRow {
     /// Changes of the heights of fixed shapes, drawn per shape and episode.
     pub(super) terrain: Vec<TerrainRow>,
     /// Angle of the ground, rad, drawn per episode in a random direction.
+    #[serde(deserialize_with = "arrays::given")]
     pub(super) slope: Option<[f32; 2]>,
     /// Factor of the friction of all contacts, drawn per episode.
+    #[serde(deserialize_with = "arrays::given")]
     pub(super) friction: Option<[f32; 2]>,
     /// Factor of the torque of each motor, drawn per motor and episode.
+    #[serde(deserialize_with = "arrays::given")]
     pub(super) motor_strength: Option<[f32; 2]>,
     /// Factor of the damping of each joint, drawn per joint and episode.
+    #[serde(deserialize_with = "arrays::given")]
     pub(super) joint_damping: Option<[f32; 2]>,
     /// Steps between an action and its effect, drawn per episode.
+    #[serde(deserialize_with = "arrays::given")]
     pub(super) action_delay: Option<[u32; 2]>,
     /// Steps between a measurement and its observation, drawn per episode.
+    #[serde(deserialize_with = "arrays::given")]
     pub(super) observation_delay: Option<[u32; 2]>,
     /// Error of each measurement, drawn in every step.
     pub(super) sensor_noise: SensorRow,
@@ -47,6 +54,7 @@ pub(crate) struct DisturbanceRow {
 pub(super) struct PushRow {
     pub(super) link: String,
     /// Range of its size, N.
+    #[serde(deserialize_with = "arrays::exact")]
     pub(super) force: [f32; 2],
     pub(super) duration_secs: f32,
     /// Mean time between pushes, s.
@@ -62,6 +70,7 @@ pub(super) struct PushRow {
 pub(super) struct PayloadRow {
     pub(super) link: String,
     /// kg.
+    #[serde(deserialize_with = "arrays::exact")]
     pub(super) mass: [f32; 2],
 }
 
@@ -71,6 +80,7 @@ pub(super) struct PayloadRow {
 pub(super) struct TerrainRow {
     pub(super) body: String,
     /// m, added to the height of each shape.
+    #[serde(deserialize_with = "arrays::exact")]
     pub(super) height: [f32; 2],
 }
 

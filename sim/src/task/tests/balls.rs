@@ -16,10 +16,27 @@ const FILE: &str = "robot = \"arm\"\nmodel = \"arm.xml\"\nframe_skip = 1\nepisod
     coordinates = { \"wrist.qw\" = 0.980067, \"wrist.qy\" = 0.198669 }\n";
 
 fn arm(mode: ObservationMode) -> Box<dyn EnvironmentBatch> {
-    let definition = TaskDefinition { file: FILE.to_owned(), model: MODEL.to_owned() };
+    arm_of((FILE, MODEL), mode)
+}
+
+fn arm_of((file, model): (&str, &str), mode: ObservationMode) -> Box<dyn EnvironmentBatch> {
+    let definition = TaskDefinition { file: file.to_owned(), model: model.to_owned() };
     let task = "arm-p".to_owned();
-    let config = TaskConfig { task, definition: Some(definition), ..config(FILE, mode) };
+    let config = TaskConfig { task, definition: Some(definition), ..config(file, mode) };
     environments(&config, 1).unwrap()
+}
+
+#[test]
+fn the_quaternion_of_a_ball_joint_in_a_keyframe_is_normalised() {
+    let keyframe = "<keyframe><key name=\"k\" qpos=\"0 2 1 0 2\"/></keyframe></mujoco>";
+    let model = MODEL.replace("</mujoco>", keyframe);
+    let (head, _) = FILE.split_once("positions").unwrap();
+    let file = format!("{head}keyframe = \"k\"\n");
+    let mut arm = arm_of((&file, &model), ObservationMode::FullId);
+    arm.reset(0, 0, 9, [3; 32]).unwrap();
+    let wrist = &arm.state_of(0)[1..5];
+    let off = wrist.iter().zip([2.0, 1.0, 0.0, 2.0]).map(|(got, want)| (got - want / 3.0).abs());
+    assert!(off.fold(0.0, f32::max) < 1e-6, "{wrist:?}");
 }
 
 #[test]

@@ -320,6 +320,18 @@ fn invalid_disturbances_are_refused_with_their_key() {
             "[[disturbance.terrain]]\nbody = \"floor\"\nheight = [0, 1]".to_owned(),
             "the robot has no fixed body with a shape that is no plane `floor`",
         ),
+        (
+            "[disturbance]\nfriction = [1, 1, 1]".to_owned(),
+            ", `friction`: an array of 2 is needed, it has 3 entries",
+        ),
+        (
+            "[disturbance]\naction_delay = [0.5, 1]".to_owned(),
+            ", `action_delay`: invalid type: floating point `0.5`, expected a whole number from 0",
+        ),
+        (
+            "[disturbance]\nsensor_noise = 0.1".to_owned(),
+            ", `sensor_noise`: invalid type: floating point `0.1`, expected a table",
+        ),
         (format!("{payload}{payload}"), "disturbance.payload: the link `torso` is named twice"),
     ] {
         let message = refusal(&format!("{HOPPER}\n{lines}"));

@@ -252,6 +252,13 @@ fn an_entry_that_is_stated_twice_is_refused() {
     }
 }
 
+#[test]
+fn an_edge_of_a_single_joint_is_refused() {
+    let file = EVERYTHING.replacen("[\"hip_1\", \"ankle_1\"]", "[\"hip_1\"]", 1);
+    let reason = environments_of(&file).err().unwrap();
+    assert!(reason.contains("neighbourhood.edges: an edge needs at least two joints"), "{reason}");
+}
+
 /// After a fault, what is observed is what an environment observes that continues from the encoded state.
 #[test]
 fn after_a_fault_everything_seen_is_that_of_the_state_which_is_encoded() {
