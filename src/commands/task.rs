@@ -170,7 +170,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
         output::line(film.path().display());
     }
     output::line(trial.summary(arguments.episodes));
-    anyhow::ensure!(trial.faults == 0, "the simulation is unstable: shorten the model's timestep");
+    let why = "the simulation is unstable, or has more than 2,000 contacts at a time: shorten the model's timestep, or let fewer \
+        shapes touch";
+    anyhow::ensure!(trial.faults == 0, why);
     Ok(())
 }
 

@@ -71,12 +71,23 @@ FIELD = (
     '<asset><hfield name="field" nrow="5" ncol="4" size="0.6 0.5 0.1 0.1"'
     ' elevation="0 0 2 4 0 0 1 3 0 0 0 2 1 0 0 1 2 1 0 0"/></asset>'
 )
+DEEP = 'solref="0.1 1"'
 MESH = f'<asset><mesh name="cube" vertex="{CUBE}"/></asset>'
 
 
 def on(ground, body, option="", sections=""):
     """A free body on a shape that is fixed to the world."""
     return document(f'{ground}<body pos="0 0 0.35"><freejoint name="root"/>{body}</body>', option, "", sections)
+
+
+def in_air(place, shape, option=""):
+    """A free body at a height field that is high above the floor."""
+    return above('<geom type="hfield" hfield="field" pos="0 0 1"/>', place, shape, option, FIELD)
+
+
+def above(ground, place, shape, option="", sections=""):
+    """A free body at a place."""
+    return document(f"{ground}<body {place}><freejoint/>{shape}</body>", option, "", sections)
 
 
 FINGER = (
@@ -151,6 +162,62 @@ MODELS = {
             '<geom type="box" size="0.1 0.05 0.05" pos="0.1 0 0.1" mass="2"/>',
             "",
             FIELD,
+        ),
+        None,
+    ),
+    "ball that sinks deep into a height field": (
+        in_air('pos="0.1 0.06 1.25"', f'<geom size="0.02" density="5000" {DEEP}/>'),
+        [0, 0, -1],
+    ),
+    "ball at the side of a height field": (
+        in_air('pos="0.71 0 0.95"', '<geom size="0.1" mass="1"/>', 'gravity="-3 0 0"'),
+        None,
+    ),
+    "ball on an ellipsoid": (
+        above(
+            '<geom type="ellipsoid" size="0.15 0.1 0.05" pos="0 0 1"/>',
+            'pos="0.05 0.02 1.12"',
+            '<geom size="0.06" mass="1"/>',
+        ),
+        None,
+    ),
+    "ball on a tilted cylinder": (
+        above(
+            '<geom type="cylinder" size="0.1 0.1" pos="0 0 1" euler="0.8 0.2 0"/>',
+            'pos="0.02 0.01 1.22"',
+            '<geom size="0.06" mass="1"/>',
+        ),
+        None,
+    ),
+    "bar of a mesh on the floor": (
+        above(
+            "",
+            'pos="0 0 0.3" euler="0 0.14 0"',
+            '<geom type="mesh" mesh="cube" solref="0.06 1"/>',
+            "",
+            MESH,
+        ),
+        None,
+    ),
+    "pendulum on a box": (
+        document(
+            '<geom type="box" size="0.2 0.2 0.1" pos="0 0 0.1"/><body pos="-0.15 0 0.4"><joint axis="0 1 0"/>'
+            '<geom type="capsule" size="0.03" fromto="0 0 0 0.2 0 0" mass="1"/></body>'
+        ),
+        None,
+    ),
+    "box with ends in a turned frame": (
+        document(
+            '<body pos="0 0 0.3"><freejoint name="root"/><frame euler="0.5 0.3 0.9" pos="0 0 0.1">'
+            '<geom type="box" size="0.05" fromto="0 0 0 0.2 0.1 0.05"/></frame></body>'
+        ),
+        None,
+    ),
+    "weight on a slide": (
+        document(
+            '<body pos="0 0 0.12"><joint type="slide" axis="0 0 1"/><geom size="0.1" mass="3" solref="0.1 1"/></body>'
+            '<body pos="1 0 0.12"><joint type="slide" axis="0 0 1"/><geom size="0.1" mass="3" solref="0.1 1"/>'
+            '<geom size="0.05" mass="1" pos="0.1 0 0"/></body>'
         ),
         None,
     ),

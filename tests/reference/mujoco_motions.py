@@ -126,6 +126,22 @@ TUMBLE = """<mujoco>
 </mujoco>
 """
 
+# A body on slides and a hinge in a plane, on all of which forces act.
+PLANAR = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001"/>
+  <default><geom contype="0" conaffinity="0" type="capsule" size="0.03"/></default>
+  <worldbody>
+    <body pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+      <joint name="turn" axis="0 1 0"/><geom fromto="-.1 0 0 .3 0 0" mass="1"/>
+      <body pos=".3 0 0"><joint name="hip" axis="0 1 0" damping="0.02"/><geom fromto="0 0 0 .1 0 -.3" mass="0.4"/></body>
+    </body>
+  </worldbody>
+  <tendon><fixed stiffness="20"><joint joint="x" coef="1"/><joint joint="hip" coef="0.1"/></fixed></tendon>
+  <actuator><motor joint="z" gear="20" ctrlrange="-1 1"/><motor joint="turn" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
 SPIN = [1, 0, 0.5, 0.4, -0.3, 0.2]
 
 # Motions: a model, its velocities at the start, constant controls, and physics steps.
@@ -187,6 +203,7 @@ MOTIONS = {
     "joints with a spring and damper": (
         BALLS.format(limit=' springdamper="0.2 0.3"').replace('axis="0 1 1"', 'axis="0 1 1" springdamper="0.5 0.7"'),
         [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "forces on a planar root": (PLANAR, [0.3, 0, 1, -2], [0.8, 0.3], 400),
     "two actuators": (
         ARM.format(body="", joint="", sections="""<actuator>
           <position joint="j1" kp="20" ctrlrange="-1 1"/><velocity joint="j1" kv="1" ctrlrange="-1 1"/>

@@ -1,14 +1,9 @@
 //! Builds a robot's template world in rapier: one multibody, and fixed shapes without a parent body.
 
-use std::f32::consts::FRAC_1_SQRT_2;
-
-use rapier3d::parry::shape::HeightFieldFlags;
-use rapier3d::parry::utils::Array2;
 use rapier3d::prelude::*;
 
 use super::blueprint::{
-    Blueprint, GroundForm, GroundPlan, HeightField, Hinge, JointPlan, Law, LinkPlan, Motion,
-    ShapePlan,
+    Blueprint, GroundForm, GroundPlan, Hinge, JointPlan, Law, LinkPlan, Motion, ShapePlan,
 };
 use super::convex::Convex;
 use super::layout::Layout;
@@ -124,11 +119,10 @@ fn insert_ground(
         GroundForm::Plane => {
             ColliderBuilder::new(SharedShape::halfspace(Vector::Z)).position(ground.pose)
         }
+        // What touches its prisms is found for each of them.
         GroundForm::Field(field) => {
-            // The engine's fields have their heights along y.
-            let upright = Rotation::from_xyzw(FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2);
-            let pose = ground.pose * Pose::from_rotation(upright);
-            ColliderBuilder::new(height_field(field)).position(pose)
+            let (shape, inside) = field.bounding_box();
+            ColliderBuilder::new(Convex::shared(&shape, &inside)).position(ground.pose)
         }
         GroundForm::Solid(shape) => ColliderBuilder::new(Convex::shared(shape, &ground.pose))
             .translation(match shape {
@@ -141,14 +135,6 @@ fn insert_ground(
         Law::Constraints => collider.contact_skin(ground.surface.reach(&blueprint.contacts.stated)),
     };
     world.colliders.insert(collider.user_data(index as u128));
-}
-
-fn height_field(field: &HeightField) -> SharedShape {
-    let height = |row: usize, column: usize| field.heights[row * field.columns + column];
-    let [x, y] = field.half_sizes;
-    let scale = Vector::new(2.0 * x, 1.0, 2.0 * y);
-    let heights = Array2::from_fn(field.rows(), field.columns, height);
-    SharedShape::heightfield_with_flags(heights, scale, HeightFieldFlags::FIX_INTERNAL_EDGES)
 }
 
 fn insert_link(

@@ -75,6 +75,9 @@ pub(crate) struct LinkPlan {
     pub(crate) mass: MassProperties,
     /// Share of its weight that acts on it: 1 without MuJoCo's `gravcomp`.
     pub(crate) gravity_scale: f32,
+    /// Whether MuJoCo counts the whole inverse mass in the softness of its constraints, not a mean over three directions:
+    /// one body that slides along axes of its inertia, without children and on nothing that moves.
+    pub(crate) is_slider: bool,
     pub(crate) shapes: Vec<ShapePlan>,
 }
 

@@ -41,6 +41,8 @@ enum Form {
     Ellipsoid(Vector),
     /// Corners and size of a hull.
     Hull(Arc<Hull>, f32),
+    /// Corners of a part of a height field.
+    Prism([[f32; 3]; 6]),
 }
 
 impl Convex {
@@ -56,13 +58,22 @@ impl Convex {
             }
             Shape::Capsule { .. } | Shape::Sphere { .. } => return None,
         };
-        let mut convex = Self { form, pose: *pose, bounds: Aabb::new(Vector::ZERO, Vector::ZERO) };
+        Some(Self::placed(form, *pose))
+    }
+
+    /// A prism with these corners.
+    pub(crate) fn prism(corners: [[f32; 3]; 6]) -> Self {
+        Self::placed(Form::Prism(corners), Pose::IDENTITY)
+    }
+
+    fn placed(form: Form, pose: Pose) -> Self {
+        let mut convex = Self { form, pose, bounds: Aabb::new(Vector::ZERO, Vector::ZERO) };
         let end = |axis: Vector| convex.local_support_point(axis).dot(axis);
         let axes = [Vector::X, Vector::Y, Vector::Z];
         let [low, high] =
             [-1.0, 1.0].map(|sign| Vector::from_array(axes.map(|axis| sign * end(sign * axis))));
         convex.bounds = Aabb::new(low, high);
-        Some(convex)
+        convex
     }
 
     /// The shape of a collider with this pose in the collider's frame; a sphere's position is left to the collider.
@@ -89,7 +100,9 @@ impl Convex {
                 let stretched = *half * along;
                 add(*half * stretched / stretched.length(), 0);
             }
-            Form::Hull(hull, size) => hull_corners(hull, TOGETHER * size, along, add),
+            Form::Hull(hull, size) => hull_corners(&hull.points, TOGETHER * size, along, add),
+            // Only its deepest point touches.
+            Form::Prism(points) => hull_corners(points, 0.0, along, add),
         }
     }
 }
@@ -133,10 +146,10 @@ fn cylinder_feature([half, radius]: [f32; 2], along: Vector, mut add: impl FnMut
     }
 }
 
-/// The farthest corner of a hull, the first of several.
-fn farthest(hull: &Hull, along: Vector) -> Vector {
+/// The farthest of the corners of a hull, the first of several.
+fn farthest(points: &[[f32; 3]], along: Vector) -> Vector {
     let mut best = (Vector::ZERO, f32::NEG_INFINITY);
-    for point in &hull.points {
+    for point in points {
         let corner = Vector::from_array(*point);
         let height = corner.dot(along);
         if height > best.1 {
@@ -147,11 +160,11 @@ fn farthest(hull: &Hull, along: Vector) -> Vector {
 }
 
 /// At most four of the farthest corners of a hull, far from each other.
-fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vector, u32)) {
-    let corner = |index: usize| Vector::from_array(hull.points[index]);
+fn hull_corners(points: &[[f32; 3]], band: f32, along: Vector, mut add: impl FnMut(Vector, u32)) {
+    let corner = |index: usize| Vector::from_array(points[index]);
     let height = |index: usize| corner(index).dot(along);
     let best = |score: &dyn Fn(usize) -> f32| {
-        let all = (0..hull.points.len()).map(|index| (index, score(index)));
+        let all = (0..points.len()).map(|index| (index, score(index)));
         all.fold((0, f32::NEG_INFINITY), |best, next| if next.1 > best.1 { next } else { best })
     };
     let (first, top) = best(&height);
@@ -174,6 +187,27 @@ fn hull_corners(hull: &Hull, band: f32, along: Vector, mut add: impl FnMut(Vecto
     }
 }
 
+impl Convex {
+    /// The corners of a hull that are at most `reach` above the lowest one along `along`, in the link's frame; of other forms
+    /// nothing.
+    pub(crate) fn corners_within(
+        &self,
+        along: Vector,
+        reach: f32,
+        mut add: impl FnMut(Vector, u32),
+    ) {
+        if let Form::Hull(hull, size) = &self.form {
+            let (band, inside) = (reach.max(TOGETHER * size), self.pose.rotation.inverse() * along);
+            hull_corners(&hull.points, band, inside, |corner, id| add(self.pose * corner, id));
+        }
+    }
+
+    /// Whether it is a hull.
+    pub(crate) fn is_hull(&self) -> bool {
+        matches!(self.form, Form::Hull(..))
+    }
+}
+
 impl SupportMap for Convex {
     fn local_support_point(&self, along: Vector) -> Vector {
         let inside = self.pose.rotation.inverse() * along;
@@ -183,7 +217,8 @@ impl SupportMap for Convex {
                 let end = |axis: usize| if along[axis] < 0.0 { -half[axis] } else { half[axis] };
                 return self.pose * Vector::from_array([0, 1, 2].map(end));
             }
-            Form::Hull(hull, _) => return self.pose * farthest(hull, inside),
+            Form::Hull(hull, _) => return self.pose * farthest(&hull.points, inside),
+            Form::Prism(points) => return self.pose * farthest(points, inside),
             Form::Cylinder(_) | Form::Ellipsoid(_) => {}
         }
         let mut best = (Vector::ZERO, f32::NEG_INFINITY);
@@ -259,6 +294,49 @@ impl RapierShape for Convex {
     }
 }
 
+/// Whether a point is inside a cylinder, and the nearest point of its surface.
+fn on_cylinder([half, radius]: [f32; 2], point: Vector) -> (bool, Vector) {
+    let aside = (point.x * point.x + point.y * point.y).sqrt();
+    let [x, y] = if aside > 0.0 { [point.x / aside, point.y / aside] } else { [1.0, 0.0] };
+    let at = |aside: f32, z: f32| Vector::new(x * aside, y * aside, z);
+    let is_inside = aside < radius && point.z.abs() < half;
+    if !is_inside {
+        return (false, at(aside.min(radius), point.z.clamp(-half, half)));
+    }
+    let is_nearer_end = half - point.z.abs() < radius - aside;
+    (true, if is_nearer_end { at(aside, half.copysign(point.z)) } else { at(radius, point.z) })
+}
+
+/// Bisections that find the nearest point of an ellipsoid in double precision.
+const BISECTIONS: usize = 60;
+
+/// Whether a point is inside an ellipsoid, and the nearest point of its surface: `x = a^2 p / (a^2 + t)` along each axis, with
+/// the `t` at which it is on the surface.
+fn on_ellipsoid(half: [f32; 3], point: [f32; 3]) -> (bool, Vector) {
+    let squares = half.map(|a| f64::from(a) * f64::from(a));
+    let p = point.map(f64::from);
+    let place = |t: f64| -> [f64; 3] {
+        // At the centre, both are 0.
+        let part = |axis: usize| squares[axis] * p[axis] / (squares[axis] + t);
+        std::array::from_fn(|axis| if p[axis] == 0.0 { 0.0 } else { part(axis) })
+    };
+    let level = |x: [f64; 3]| (0..3).map(|axis| x[axis] * x[axis] / squares[axis]).sum::<f64>();
+    let least = squares.iter().copied().fold(f64::INFINITY, f64::min);
+    let reach = (0..3).map(|axis| squares[axis] * p[axis] * p[axis]).sum::<f64>().sqrt();
+    let (mut low, mut high) = (-least, reach - least);
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if level(place(middle)) > 1.0 { low = middle } else { high = middle }
+    }
+    let mut nearest = place(high);
+    // From the plane across the shortest axis, the nearest point may be on either side of it.
+    let missing = 1.0 - level(nearest);
+    if let Some(axis) = (0..3).find(|axis| squares[*axis] == least).filter(|_| missing > 1e-9) {
+        nearest[axis] = (nearest[axis] * nearest[axis] + missing * least).sqrt().copysign(p[axis]);
+    }
+    (level(p) < 1.0, Vector::from_array(nearest.map(|x| x as f32)))
+}
+
 /// Queries are answered for the bounding box. The simulator makes none.
 impl RayCast for Convex {
     fn cast_local_ray_and_get_normal(
@@ -273,6 +351,16 @@ impl RayCast for Convex {
 
 impl PointQuery for Convex {
     fn project_local_point(&self, point: Vector, solid: bool) -> PointProjection {
+        let inside = self.pose.inverse_transform_point(point);
+        let nearest = match &self.form {
+            Form::Cylinder(sizes) => Some(on_cylinder(*sizes, inside)),
+            Form::Ellipsoid(half) => Some(on_ellipsoid(half.to_array(), inside.to_array())),
+            Form::Box(_) | Form::Hull(..) | Form::Prism(_) => None,
+        };
+        if let Some((is_inside, nearest)) = nearest {
+            let nearest = if is_inside && solid { point } else { self.pose * nearest };
+            return PointProjection::new(is_inside, nearest);
+        }
         let mut simplex = VoronoiSimplex::new();
         local_point_projection_on_support_map(self, &mut simplex, point, solid)
     }

@@ -13,6 +13,8 @@ use crate::scene::Hull;
 
 const STL_HEADER_BYTES: usize = 84;
 const STL_TRIANGLE_BYTES: usize = 50;
+/// Most points of a mesh; the time that a hull takes grows with them.
+const MOST_CORNERS: usize = 150_000;
 
 /// A closed surface of triangles.
 #[derive(Clone, Debug)]
@@ -45,7 +47,9 @@ impl Mesh {
             Some("msh") => read_msh(bytes),
             _ => Err("it is not an STL, OBJ or MSH file".to_owned()),
         };
-        let mesh = mesh.and_then(Self::checked);
+        // Only OBJ files count vertices from 1.
+        let mesh =
+            mesh.and_then(|mesh| mesh.checked(usize::from(ending.as_deref() == Some("obj"))));
         mesh.map_err(|reason| format!("{path}: {reason}"))
     }
 
@@ -55,11 +59,12 @@ impl Mesh {
         if mesh.triangles.is_empty() {
             mesh.hull().map(|hull| Self::of_hull(&hull))
         } else {
-            mesh.checked()
+            mesh.checked(0)
         }
     }
 
-    fn checked(self) -> Result<Self, String> {
+    /// Refuses an invalid mesh; `first` is the number of the first vertex in messages.
+    fn checked(self, first: usize) -> Result<Self, String> {
         let count = self.points.len();
         if self.triangles.is_empty() {
             return Err("it has no triangles".to_owned());
@@ -68,7 +73,7 @@ impl Mesh {
             return Err("a coordinate is not finite".to_owned());
         }
         match self.triangles.iter().flatten().find(|index| **index >= count) {
-            Some(index) => Err(format!("a face names vertex {}; there are {count}", index + 1)),
+            Some(index) => Err(format!("a face names vertex {}; there are {count}", index + first)),
             None => Ok(self),
         }
     }
@@ -92,6 +97,12 @@ impl Mesh {
             self.points.iter().map(|point| point.map(|x| (x as f32 + 0.0).to_bits())).collect();
         let points: Vec<Vector> =
             unique.into_iter().map(|bits| Vector::from_array(bits.map(f32::from_bits))).collect();
+        let count = points.len();
+        if count > MOST_CORNERS {
+            return Err(format!(
+                "it has {count} different points, at most {MOST_CORNERS} are allowed; simplify it"
+            ));
+        }
         let flat = || {
             "its points do not span a volume; check its `scale`, and its `vertex` or file"
                 .to_owned()
@@ -230,10 +241,12 @@ fn read_msh(bytes: &[u8]) -> Result<Mesh, String> {
     })
 }
 
-/// Reads `v` and `f` lines. Faces with more than three corners become fans.
+/// Reads `v` and `f` lines. Faces with more than three corners become fans. As in MuJoCo, the faces are those of the first
+/// object or group that has any.
 fn read_obj(bytes: &[u8]) -> Result<Mesh, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned())?;
     let mut mesh = Mesh { points: Vec::new(), triangles: Vec::new() };
+    let mut has_ended = false;
     for (row, line) in text.lines().enumerate() {
         let invalid = || format!("line {} is invalid: {}", row + 1, line.trim());
         let mut words = line.split_ascii_whitespace();
@@ -246,7 +259,8 @@ fn read_obj(bytes: &[u8]) -> Result<Mesh, String> {
                     .map_err(|_| invalid())?;
                 mesh.points.push(numbers.try_into().map_err(|_| invalid())?);
             }
-            Some("f") => {
+            Some("o" | "g") => has_ended = !mesh.triangles.is_empty(),
+            Some("f") if !has_ended => {
                 let corners: Option<Vec<usize>> =
                     words.map(|word| corner(word, mesh.points.len())).collect();
                 let corners = corners.filter(|c| c.len() >= 3).ok_or_else(invalid)?;
@@ -333,6 +347,13 @@ mod tests {
     }
 
     #[test]
+    fn the_faces_of_an_obj_file_are_those_of_its_first_object() {
+        let first = CUBE.replace("f 4 3 2 1", "o a\ng b\nf 4 3 2 1");
+        let mesh = Mesh::read("a.obj", format!("{first}g c\nf 1 2 3\no d\nf 1 2 4\n").as_bytes());
+        assert_eq!(mesh.unwrap().triangles.len(), 12);
+    }
+
+    #[test]
     fn damaged_files_are_rejected_with_the_reason() {
         let reason = |path: &str, bytes: &[u8]| Mesh::read(path, bytes).unwrap_err();
         let mut cut = stl(&Mesh::read("cube.obj", CUBE.as_bytes()).unwrap());
@@ -340,6 +361,8 @@ mod tests {
         assert!(reason("a.stl", &cut).contains("12 triangles need 684 bytes, it has 683"));
         assert!(reason("a.stl", b"solid cube").contains("at least 84 bytes"));
         assert!(reason("a.obj", b"v 0 0 0\nf 1 2 9\n").contains("vertex 2; there are 1"));
+        let named = Mesh::new(vec![[0.0; 3]; 4], vec![[0, 1, 9]]).unwrap_err();
+        assert_eq!(named, "a face names vertex 9; there are 4");
         assert!(reason("a.obj", b"v 0 0\n").contains("line 1 is invalid: v 0 0"));
         assert!(reason("a.dae", b"").contains("not an STL, OBJ or MSH file"));
         let flat = Mesh::read("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();

@@ -16,10 +16,12 @@ mod links;
 mod meshes;
 mod options;
 
-use super::blueprint::{Blueprint, Law};
+use super::blueprint::{Blueprint, Law, MotorPlan};
+use super::coupling::TendonPlan;
 use super::document::Element;
 use super::fluid::Fluid;
 use super::folder::Folder;
+use super::softness::Integration;
 use context::Context;
 pub(super) use flat::flat;
 use geoms::Geom;
@@ -44,6 +46,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let keyframes = keyframes::read(&root, &context.blockers);
     let contacts = contacts::read(&root, &context, &bodies, (&links.plans, &grounds));
     context.blockers.finish()?;
+    left_out.extend(differences(&context, &motors, &tendons));
     let fluid = Some(context.options.fluid).filter(Fluid::acts);
     if fluid.is_some()
         && bodies.iter().flat_map(|body| &body.geoms).any(Geom::is_ellipsoid_in_fluid)
@@ -68,4 +71,31 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         bodies: bodies.into_iter().map(|body| body.name).collect(),
         left_out,
     })
+}
+
+/// What MuJoCo computes otherwise of meshes and of the speed terms of actuators and tendons.
+fn differences(context: &Context, motors: &[MotorPlan], tendons: &[TendonPlan]) -> Vec<String> {
+    let mut found = Vec::new();
+    let count = context.meshes.beyond_limit();
+    if count > 0 {
+        found.push(format!("`maxhullvert` has no effect: {count} hulls have more corners"));
+    }
+    if context.options.integration == Integration::RungeKutta {
+        return found;
+    }
+    let has_speed_term = |motor: &MotorPlan| motor.servo.is_some_and(|own| own.bias[2] != 0.0);
+    let damped = motors.iter().filter(|motor| has_speed_term(motor));
+    let (on_tendons, on_joints): (Vec<_>, Vec<_>) = damped.partition(|own| own.tendon.is_some());
+    let is_implicit = context.options.is_implicit;
+    if !is_implicit && !on_joints.is_empty() {
+        let what = "the speed terms of servos are implicit, as with integrator=\"implicitfast\"";
+        found.push(format!("{what}: {} actuators", on_joints.len()));
+    }
+    let has_damping = tendons.iter().any(|tendon| tendon.damping != 0.0);
+    if is_implicit && (has_damping || !on_tendons.is_empty()) {
+        let what =
+            "the damping of tendons and their servos is explicit, as with integrator=\"Euler\"";
+        found.push(what.to_owned());
+    }
+    found
 }

@@ -259,7 +259,7 @@ impl DisturbanceRanges {
 /// Fixed shapes of the bodies that the terrain names, each with its row.
 fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, SimError> {
     let blueprint = &robot.blueprint;
-    let solid = |ground: &&GroundPlan| matches!(ground.form, GroundForm::Solid(_));
+    let solid = |ground: &&GroundPlan| !matches!(ground.form, GroundForm::Plane);
     let grounds = || blueprint.grounds.iter().enumerate();
     let bodies =
         blueprint.grounds.iter().filter(solid).map(|ground| &blueprint.bodies[ground.body]);

@@ -16,6 +16,7 @@ mod couplings;
 mod matrix;
 mod motion;
 mod near;
+mod points;
 mod problem;
 mod rows;
 mod runge_kutta;
@@ -77,14 +78,16 @@ impl Constraints {
         self.touching.friction = f64::from(factor);
     }
 
-    /// Makes a step with the torques of `drives`. Returns whether the motion is finite.
+    /// Makes a step with the torques of `drives`. Returns whether the motion is finite, and contacts are not too many.
     pub(crate) fn step(
         &mut self,
         robot: &Robot,
         drives: &mut HingeDrives,
         physics: &mut PhysicsWorld,
     ) -> bool {
-        self.accelerate(robot, drives, physics);
+        if !self.accelerate(robot, drives, physics) {
+            return false;
+        }
         self.normal_impulse = self.step_secs * self.touching.normal_force(&self.problem.forces);
         if self.integration == Integration::RungeKutta {
             return self.finish_runge_kutta(robot, drives, physics);
@@ -98,20 +101,29 @@ impl Constraints {
         is_finite
     }
 
-    /// Computes the accelerations, with MuJoCo's implicit damping unless the integrator is that of Runge and Kutta.
-    fn accelerate(&mut self, robot: &Robot, drives: &HingeDrives, physics: &mut PhysicsWorld) {
+    /// Computes the accelerations, with MuJoCo's implicit damping unless the integrator is that of Runge and Kutta. Returns
+    /// whether a step may have so many contacts.
+    fn accelerate(
+        &mut self,
+        robot: &Robot,
+        drives: &HingeDrives,
+        physics: &mut PhysicsWorld,
+    ) -> bool {
         let layout = &robot.layout;
         let multibody = physics.multibody_joints.get_multibody(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
         self.start.read(robot, multibody, physics);
         self.weigh(layout, drives, multibody);
-        self.constrain(robot, physics);
+        if !self.constrain(robot, physics) {
+            return false;
+        }
         if self.problem.has_constraints() {
             self.problem.solve();
         }
         self.problem.total(&mut self.change);
         self.implicit_mass.factorise(self.change.len());
         self.implicit_mass.solve(&mut self.change);
+        true
     }
 
     /// Computes the mass matrix and the forces without constraints.
@@ -137,8 +149,8 @@ impl Constraints {
         }
     }
 
-    /// Adds all constraints.
-    fn constrain(&mut self, robot: &Robot, physics: &PhysicsWorld) {
+    /// Adds all constraints. Returns whether a step may have so many contacts.
+    fn constrain(&mut self, robot: &Robot, physics: &PhysicsWorld) -> bool {
         let layout = &robot.layout;
         for (hinge, position) in layout.hinges.iter().zip(&self.start.hinges) {
             add_limit(&mut self.problem, &self.start.speeds, hinge, *position);
@@ -158,7 +170,7 @@ impl Constraints {
         for free in &layout.free_frictions {
             add_free_friction(&mut self.problem, &self.start, free);
         }
-        self.touching.add(&robot.blueprint, physics, &self.start, &mut self.problem);
+        self.touching.add(&robot.blueprint, physics, &self.start, &mut self.problem)
     }
 
     /// Moves the robot from `start` for a step with the velocities `moving`, and sets its velocities. Returns whether they

@@ -37,7 +37,7 @@ pub(crate) enum GroundForm {
     /// A half-space below the plane z = 0.
     Plane,
     Solid(Shape),
-    /// Ground of these heights above the plane z = 0.
+    /// Ground of these heights above the plane z = 0, and of its base below.
     Field(HeightField),
 }
 
@@ -50,6 +50,8 @@ pub(crate) struct HeightField {
     pub(crate) columns: usize,
     /// m, by rows; the first row has the largest y.
     pub(crate) heights: Vec<f32>,
+    /// Depth of the ground below z = 0, m.
+    pub(crate) base: f32,
 }
 
 impl HeightField {
@@ -64,6 +66,41 @@ impl HeightField {
         let share = |index: usize, count: usize| 2.0 * index as f32 / (count - 1) as f32 - 1.0;
         let height = self.heights[row * self.columns + column];
         Vector::new(x * share(column, self.columns), -y * share(row, self.rows()), height)
+    }
+
+    /// The box around the ground, and its pose.
+    pub(crate) fn bounding_box(&self) -> (Shape, Pose) {
+        let [x, y] = self.half_sizes;
+        let top = self.heights.iter().copied().fold(0.0, f32::max);
+        let middle = Vector::new(0.0, 0.0, 0.5 * (top - self.base));
+        let half_sizes = [x, y, 0.5 * (top + self.base)];
+        (Shape::Box { half_sizes }, Pose::from_translation(middle))
+    }
+
+    /// Corners of the parts of the ground, as MuJoCo divides it, that may reach into the box from `low` to `high`, m: prisms
+    /// with two triangles of the surface on top of each cell.
+    pub(crate) fn prisms(&self, low: Vector, high: Vector) -> impl Iterator<Item = [[f32; 3]; 6]> {
+        let [x, y] = self.half_sizes;
+        let cells = |from: f32, to: f32, half: f32, count: usize| {
+            let last = (count - 1) as f32;
+            let at = |place: f32| 0.5 * (place / half + 1.0) * last;
+            let ends = [at(from).floor(), at(to).ceil()];
+            let [first, end] = ends.map(|end| end.clamp(0.0, last) as usize);
+            first..end
+        };
+        let columns = cells(low.x, high.x, x, self.columns);
+        let rows = cells(-high.y, -low.y, y, self.rows()).rev();
+        let prisms = rows.flat_map(move |row| {
+            columns.clone().flat_map(move |column| self.prisms_of_cell(row, column))
+        });
+        prisms.filter(move |corners| corners.iter().any(|corner| corner[2] >= low.z))
+    }
+
+    fn prisms_of_cell(&self, row: usize, column: usize) -> [[[f32; 3]; 6]; 2] {
+        let corners = [(row, column), (row + 1, column), (row, column + 1), (row + 1, column + 1)];
+        let [a, b, c, d] = corners.map(|(row, column)| self.point(row, column).to_array());
+        let below = |[x, y, _]: [f32; 3]| [x, y, -self.base];
+        [[a, b, c], [b, c, d]].map(|[a, b, c]| [a, b, c, below(a), below(b), below(c)])
     }
 }
 

@@ -37,25 +37,25 @@ impl Layout {
             (0..3).map(along).sum::<f32>() / 3.0
         };
         self.inverse_masses = self.joints.iter().map(inverse_mass).collect();
+        let joints = &self.joints;
+        let of_body = |link: usize, mass_centre: Vector| {
+            let (plan, joint) = (&blueprint.links[link], &joints[link]);
+            if plan.is_slider {
+                return [f64::from(plan.mass.inv_mass), 0.0];
+            }
+            let link = robot.link(joint.link).expect("the layout is this robot's");
+            let turn = link.local_to_world().rotation;
+            shape_inverse(robot, joint.link, turn * (mass_centre - plan.mass.local_com))
+        };
         for connection in &blueprint.connections {
-            let inverse = |end: &ConnectedFrame| {
-                let (plan, joint) = (&blueprint.links[end.link?], &self.joints[end.link?]);
-                let link = robot.link(joint.link).expect("the layout is this robot's");
-                let turn = link.local_to_world().rotation;
-                let arm = turn * (end.mass_centre - plan.mass.local_com);
-                Some(shape_inverse(robot, joint.link, arm))
-            };
+            let inverse = |end: &ConnectedFrame| Some(of_body(end.link?, end.mass_centre));
             let inverses = connection.ends.iter().filter_map(inverse);
             let sum = inverses.fold([0.0; 2], |sum, own| [sum[0] + own[0], sum[1] + own[1]]);
             self.connection_inverses.push(sum);
         }
-        for (plan, joint) in blueprint.links.iter().zip(&self.joints) {
-            let link = robot.link(joint.link).expect("the layout is this robot's");
-            let turn = link.local_to_world().rotation;
-            for shape in &plan.shapes {
-                let arm = turn * (shape.mass_centre - plan.mass.local_com);
-                self.shape_inverses.push(shape_inverse(robot, joint.link, arm));
-            }
+        for (link, plan) in blueprint.links.iter().enumerate() {
+            let inverses = plan.shapes.iter().map(|shape| of_body(link, shape.mass_centre));
+            self.shape_inverses.extend(inverses);
         }
     }
 

@@ -42,6 +42,13 @@ pub(super) struct Body {
     pub(super) is_whole: bool,
 }
 
+impl Body {
+    /// Whether the document states its principal moments of inertia.
+    pub(super) fn states_moments(&self) -> bool {
+        self.inertial.as_ref().is_some_and(|(stated, _)| stated.text("fullinertia").is_none())
+    }
+}
+
 /// All bodies, parents before their children and the world first.
 pub(super) fn flat(root: &Element, context: &Context) -> Vec<Body> {
     let mut bodies = vec![new_body(root, "world".to_owned(), 0, IDENTITY)];

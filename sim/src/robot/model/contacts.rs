@@ -60,8 +60,7 @@ fn exclusion(
         let name = element.text(key);
         let name = name.ok_or_else(|| element.refuse(format!("it must have `{key}`; add it")))?;
         let index = bodies.iter().position(|body| body.name == name);
-        let is_marker = || root.all("worldbody").any(|world| states_body(world, name));
-        if index.is_none() && !is_marker() {
+        if index.is_none() && !is_skipped(root, name) {
             let known = bodies.iter().map(|body| body.name.as_str());
             return Err(element.refuse_name(key, "body", known));
         }
@@ -69,6 +68,11 @@ fn exclusion(
     };
     let [one, other] = [body("body1")?, body("body2")?];
     Ok(one.zip(other).map(|(one, other)| [one.min(other), one.max(other)]))
+}
+
+/// Whether a body with this name, which is none of those that were read, is in the document.
+pub(super) fn is_skipped(root: &Element, name: &str) -> bool {
+    root.all("worldbody").any(|world| states_body(world, name))
 }
 
 /// Whether a body inside this element has the name.

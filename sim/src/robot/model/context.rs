@@ -8,6 +8,9 @@ use super::meshes::Meshes;
 use super::options::{self, Options};
 use super::{contacts, fields};
 
+/// Attributes that name a joint on which an element acts.
+const JOINTS: [&str; 4] = ["joint", "jointinparent", "joint1", "joint2"];
+
 /// Default classes, options and meshes of a model.
 pub(super) struct Context {
     pub(super) classes: Classes,
@@ -17,6 +20,8 @@ pub(super) struct Context {
     pub(super) fields: BTreeMap<String, Element>,
     /// Names of the shapes in contact pairs.
     pub(super) paired: BTreeSet<String>,
+    /// Names of the joints on which actuators, tendons and equalities act.
+    pub(super) driven: BTreeSet<String>,
     /// All names in the document.
     names: BTreeSet<String>,
     /// What cannot be built.
@@ -37,9 +42,16 @@ impl Context {
         let meshes = Meshes::read(root, &classes, &options, &blockers);
         let paired = contacts::paired(root);
         let fields = fields::read(root, &blockers);
+        let mut driven = BTreeSet::new();
+        let acting = ["actuator", "tendon", "equality"];
+        acting
+            .iter()
+            .flat_map(|tag| root.all(tag))
+            .for_each(|own| collect(own, &JOINTS, &mut driven));
         let mut names = BTreeSet::new();
-        collect_names(root, &mut names);
-        Ok((Self { classes, options, meshes, fields, paired, names, blockers }, left_out))
+        collect(root, &["name"], &mut names);
+        let context = Self { classes, options, meshes, fields, paired, driven, names, blockers };
+        Ok((context, left_out))
     }
 
     /// Range that an attribute states; `None` if it does not limit anything. As in MuJoCo, ends that do not ascend are no
@@ -101,7 +113,8 @@ impl Context {
     }
 }
 
-fn collect_names(element: &Element, names: &mut BTreeSet<String>) {
-    names.extend(element.text("name").map(str::to_owned));
-    element.children.iter().for_each(|child| collect_names(child, names));
+/// Adds the texts of these attributes of an element and of all elements inside it.
+fn collect(element: &Element, attributes: &[&str], texts: &mut BTreeSet<String>) {
+    texts.extend(attributes.iter().filter_map(|name| element.text(name)).map(str::to_owned));
+    element.children.iter().for_each(|child| collect(child, attributes, texts));
 }

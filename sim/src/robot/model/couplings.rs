@@ -9,6 +9,7 @@ use super::super::coupling::{
 use super::super::document::Element;
 use super::super::frame::{Frame, normalized, vector};
 use super::bodies::Body;
+use super::contacts::is_skipped;
 use super::context::Context;
 use super::joints;
 use super::links::Links;
@@ -148,7 +149,7 @@ pub(super) fn connections(
     links: &Links<'_>,
 ) -> Vec<ConnectionPlan> {
     let elements = active(root, context).into_iter().filter(is_connection);
-    let read = |element: Element| connection(&element, context, bodies, links);
+    let read = |element: Element| connection(&element, (root, context), bodies, links);
     elements.filter_map(|element| context.blockers.keep(read(element))).collect()
 }
 
@@ -169,7 +170,7 @@ fn active(root: &Element, context: &Context) -> Vec<Element> {
 
 fn connection(
     element: &Element,
-    context: &Context,
+    (root, context): (&Element, &Context),
     bodies: &[Body],
     links: &Links<'_>,
 ) -> Result<ConnectionPlan, String> {
@@ -177,7 +178,15 @@ fn connection(
     element.only(&[&CONNECTION, if is_weld { &WELD } else { &[] }])?;
     let body = |attribute: &str| {
         let known = bodies.iter().map(|body| body.name.as_str());
-        context.index(element, attribute, ("body", known))
+        let found = context.index(element, attribute, ("body", known));
+        let name = element.text(attribute).unwrap_or_default();
+        found.map_err(|reason| match is_skipped(root, name) && context.blockers.is_empty() {
+            true => {
+                let why = "is a mocap body, which is skipped; remove the connection, or connect a body that moves";
+                element.refuse_for(attribute, format!("`{name}` {why}"))
+            }
+            false => reason,
+        })
     };
     let first = body("body1")?;
     let second = element.text("body2").map_or(Ok(0), |_| body("body2"))?;

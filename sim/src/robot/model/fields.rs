@@ -38,15 +38,16 @@ pub(super) fn field(
         None => stated(asset)?,
     };
     let size = asset.numbers::<4>("size")?;
-    let [x, y, top, _] = size.ok_or_else(|| asset.refuse("`size` must have 4 numbers"))?;
-    if [x, y, top].contains(&0.0) {
+    let [x, y, top, base] = size.ok_or_else(|| asset.refuse("`size` must have 4 numbers"))?;
+    if [x, y, top, base].contains(&0.0) {
         return Err(asset.refuse("`size` must be positive"));
     }
     let low = stated.iter().copied().fold(f64::INFINITY, f64::min);
     let high = stated.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let scale = if high > low { top / (high - low) } else { 0.0 };
     let heights = stated.iter().map(|height| ((height - low) * scale) as f32).collect();
-    Ok(HeightField { half_sizes: [x as f32, y as f32], columns, heights })
+    let [x, y, base] = [x, y, base].map(|length| length as f32);
+    Ok(HeightField { half_sizes: [x, y], columns, heights, base })
 }
 
 /// Number of columns, and heights that the element states.

@@ -6,7 +6,7 @@ use rapier3d::prelude::SharedShape;
 use super::super::blueprint::{GroundForm, GroundPlan};
 use super::super::document::{Element, ORIENTATIONS, bounds};
 use super::super::folder::Folder;
-use super::super::frame::{Frame, IDENTITY, vector};
+use super::super::frame::{Frame, vector};
 use super::super::inertia::Solid;
 use super::super::surface::Surface;
 use super::context::Context;
@@ -44,7 +44,9 @@ pub(super) struct Geom {
     pub(super) element: Element,
     /// Frame of the shape in its body, without the shape's own length.
     frame: Frame,
-    /// Ends of the shape in its body, if it states them.
+    /// Frame in the body in which the shape is stated.
+    outer: Frame,
+    /// Ends of the shape in that frame, if it states them.
     ends: Option<[[f64; 3]; 2]>,
     pub(super) surface: Surface,
     /// Whether a contact pair names it.
@@ -64,18 +66,11 @@ impl Geom {
         }
         let surface = Surface::read(&element)?;
         let [first, last] = context.options.mass_groups;
-        let ends = element.numbers::<6>("fromto")?.map(|[a, b, c, d, e, f]| {
-            [[a, b, c], [d, e, f]].map(|end| {
-                if outer == IDENTITY {
-                    end
-                } else {
-                    outer.then(&Frame { position: end, ..IDENTITY }).position
-                }
-            })
-        });
+        let ends = element.numbers("fromto")?;
         Ok(Self {
             frame: outer.then(&context.options.angles.frame(&element)?),
-            ends,
+            outer,
+            ends: ends.map(|[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]),
             surface,
             is_paired: element.text("name").is_some_and(|name| context.paired.contains(name)),
             is_heavy: (first..=last).contains(&element.integer("group", 0)?),
@@ -172,7 +167,7 @@ impl Geom {
             2 => vec![size[0], half_length],
             _ => vec![size[0], size[0], half_length],
         };
-        Ok((form(self.kind(), &size), pose))
+        Ok((form(self.kind(), &size), self.outer.pose() * pose))
     }
 
     /// A primitive form in place of a mesh, with the inertia of the same box as the mesh, and its pose in its body.
@@ -210,7 +205,7 @@ impl Geom {
     /// MuJoCo's axes of the shape in its body; those of shapes with ends turn about the line between them.
     pub(super) fn axes(&self, pose: &Pose) -> Rotation {
         let turned = self.ends.and_then(|[from, to]| between([to, from]));
-        turned.map_or(*pose, |(_, pose)| pose).rotation
+        turned.map_or(*pose, |(_, turned)| self.outer.pose() * turned).rotation
     }
 
     /// A pose in the shape's body as one in the shape's stated frame.

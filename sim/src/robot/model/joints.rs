@@ -142,7 +142,7 @@ pub(super) fn number(joint: &Element, name: &str) -> Result<f32, String> {
     joint.number(name, 0.0).map(|number| number as f32)
 }
 
-/// Joints along x and z and about y, without forces and limits, as one joint.
+/// Joints along x and z and about y, on which nothing acts and which have no limits, as one joint.
 fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
     let [x, z, turn] = body.joints.as_slice() else { return Ok(None) };
     body.joints.iter().try_for_each(|(joint, _)| joint.only(&[&KNOWN]))?;
@@ -157,7 +157,8 @@ fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
         let same =
             joint.text("type").unwrap_or("hinge") == kind && along == axis && *frame == IDENTITY;
         let plain = plain && hinge.spring_damper.is_none();
-        if !same || !plain || !placed || hinge.range.is_some() {
+        let is_driven = joint.text("name").is_some_and(|name| context.driven.contains(name));
+        if !same || !plain || !placed || is_driven || hinge.range.is_some() {
             return Ok(None);
         }
         let unnamed = || format!("{} joint {}", body.name, index + 1);

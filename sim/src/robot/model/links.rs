@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use rapier3d::math::{Pose, Vector};
+use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
 use super::super::blueprint::{JointPlan, LinkPlan, ShapePlan};
@@ -16,11 +16,13 @@ use super::joints;
 
 /// Distance of a free root's mass centre from its origin that counts as none, m.
 const LARGEST_OFFSET: f32 = 1e-5;
+/// Largest difference of two frames that MuJoCo takes for one, m or parts of a quaternion.
+const SAME_FRAME: f64 = 1e-6;
 
 /// Masses of bodies that move, kg, and their principal moments of inertia, kg m^2: products of others leave single
 /// precision.
 const MASSES: RangeInclusive<f32> = 1e-12..=1e9;
-const MOMENTS: RangeInclusive<f32> = 1e-15..=1e15;
+const MOMENTS: RangeInclusive<f32> = 1e-13..=1e15;
 
 /// Links, their masses, and the lines of their joints.
 pub(super) struct Links<'a> {
@@ -71,6 +73,7 @@ pub(super) fn read<'a>(
         }
         links.homes.push(home);
     }
+    links.find_sliders(bodies);
     if bodies.iter().all(|body| body.is_whole && body.joints.is_empty()) {
         let reason = "the model has no joints; a robot needs a body with a joint";
         context.blockers.note(reason.to_owned());
@@ -123,7 +126,17 @@ impl<'a> Links<'a> {
     fn push(&mut self, name: String, parent: Option<usize>, rest: Pose, joint: JointPlan) {
         let mass = MassProperties::default();
         let shapes = Vec::new();
-        self.plans.push(LinkPlan { name, parent, rest, joint, mass, gravity_scale: 1.0, shapes });
+        let (gravity_scale, is_slider) = (1.0, false);
+        self.plans.push(LinkPlan {
+            name,
+            parent,
+            rest,
+            joint,
+            mass,
+            gravity_scale,
+            is_slider,
+            shapes,
+        });
         self.masses.push(MassSum::default());
         self.is_whole.push(true);
         self.carried.push(None);
@@ -187,10 +200,32 @@ impl<'a> Links<'a> {
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
             self.mass_centres[index] = centre;
+            self.plans[link].is_slider = lies_in_axes(body, &own.solid(), axes);
             if body.geoms.iter().all(|geom| !geom.is_ellipsoid_in_fluid()) {
                 context.options.fluid.add(link, &own.solid(), axes);
             }
             context.blockers.keep(self.carry(body, link));
+        }
+    }
+
+    /// Of the links whose inertia lies in their axes, leaves those that MuJoCo counts as [`LinkPlan::is_slider`].
+    fn find_sliders(&mut self, bodies: &[Body]) {
+        for (index, body) in bodies.iter().enumerate().skip(1) {
+            let parent = &bodies[body.parent];
+            if let Some(link) = self.homes[body.parent].0 {
+                self.plans[link].is_slider = false;
+            }
+            let is_own = |own: &Option<&Body>| own.is_some_and(|own| std::ptr::eq(own, body));
+            let mut own = self.plans.iter().zip(&self.bodies).filter(|(_, of)| is_own(of));
+            let slides = own.all(|(plan, _)| {
+                let hinge = plan.hinge().filter(|hinge| hinge.is_slide());
+                hinge.is_some_and(|hinge| hinge.axis.frame == Rotation::IDENTITY)
+            });
+            let is_near_world = parent.is_static && parent.parent == 0;
+            let is_slider = is_near_world && slides && !body.joints.is_empty();
+            if let Some(link) = self.homes[index].0.filter(|_| !is_slider) {
+                self.plans[link].is_slider = false;
+            }
         }
     }
 
@@ -230,6 +265,21 @@ impl<'a> Links<'a> {
     }
 }
 
+/// Whether MuJoCo's frame of the inertia of a body is the body's frame. `axes` are those of its only shape. Otherwise MuJoCo
+/// sorts the principal moments, unless the document states them.
+fn lies_in_axes(body: &Body, whole: &Solid, axes: Option<Rotation>) -> bool {
+    let [[x, xy, xz], [_, y, yz], [_, _, z]] = whole.inertia;
+    let is_small = |number: &f64| number.abs() < SAME_FRAME;
+    let is_level = match axes {
+        Some(axes) => axes.xyz().length() < SAME_FRAME as f32,
+        None => {
+            let products = [xy, xz, yz].map(|product| product / (x + y + z));
+            products.iter().all(is_small) && (body.states_moments() || (x >= y && y >= z))
+        }
+    };
+    is_level && whole.centre.iter().all(is_small)
+}
+
 fn check_mass(body: &Body, mass: &MassProperties) -> Result<(), String> {
     let (mass, moments) = (mass.mass(), mass.principal_inertia().to_array());
     if MASSES.contains(&mass) && moments.iter().all(|own| MOMENTS.contains(own)) {
@@ -237,7 +287,7 @@ fn check_mass(body: &Body, mass: &MassProperties) -> Result<(), String> {
     }
     let [a, b, c] = moments;
     Err(body.element.refuse(format!(
-        "a body that moves must have a mass of 1e-12 to 1e9 kg and moments of inertia of 1e-15 to 1e15 kg m^2, it has \
+        "a body that moves must have a mass of 1e-12 to 1e9 kg and moments of inertia of 1e-13 to 1e15 kg m^2, it has \
          {mass:e}, and {a:e}, {b:e} and {c:e}; set its `inertial` or shapes"
     )))
 }

@@ -103,6 +103,17 @@ impl Meshes {
         Ok(Arc::clone(hull))
     }
 
+    /// Number of the meshes whose hulls have more corners than their `maxhullvert`.
+    pub(super) fn beyond_limit(&self) -> usize {
+        let hulls =
+            self.assets.values().filter_map(|asset| Some((asset, &asset.loaded.as_ref()?.1)));
+        let is_beyond = |(asset, hull): &(&Asset, &Arc<Hull>)| {
+            let limit = asset.element.integer("maxhullvert", -1);
+            limit.is_ok_and(|most| most >= 0 && hull.points.len() > most as usize)
+        };
+        hulls.filter(is_beyond).count()
+    }
+
     /// Mass properties of the mesh that a shape names, with a density of 1 kg/m^3.
     pub(super) fn solid(&self, geom: &Element, hull: &Arc<Hull>) -> Result<Solid, String> {
         let asset = geom.text("mesh").and_then(|name| self.assets.get(name));

@@ -162,6 +162,8 @@ pub(super) struct Options {
     pub(super) timestep_secs: f64,
     pub(super) gravity: Vector,
     pub(super) integration: Integration,
+    /// Whether MuJoCo's integrator takes implicit forces of actuators and tendons.
+    pub(super) is_implicit: bool,
     pub(super) has_contacts: bool,
     pub(super) contacts: ContactRules,
     /// The fluid that fills the world, without boxes.
@@ -220,6 +222,7 @@ impl Options {
             integration: blockers
                 .keep(option.word("integrator", &INTEGRATORS))
                 .unwrap_or(Integration::Euler),
+            is_implicit: option.text("integrator").is_some_and(|name| name.starts_with("implicit")),
             has_contacts: constraints && contacts,
             has_equalities: constraints && equalities,
             has_limits: constraints && limits,
@@ -344,6 +347,10 @@ fn differences(option: &Element, flags: &Element) -> Result<Vec<String>, String>
     let mut left_out = Vec::new();
     if option.integer("noslip_iterations", 0)? != 0 {
         left_out.push("there is no solver that prevents slip".to_owned());
+    }
+    if option.text("integrator") == Some("implicit") {
+        let what = "the integrator is `implicitfast`, without derivatives of Coriolis and gyroscopic forces";
+        left_out.push(what.to_owned());
     }
     for (flag, what) in KEPT {
         if flags.flag(flag)? == Some(false) {

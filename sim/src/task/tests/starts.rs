@@ -210,3 +210,20 @@ fn a_task_without_agents_or_actuators_is_refused() {
     let none = environments(&config, 1).err().unwrap().to_string();
     assert!(none.contains("the model has no actuators"), "{none}");
 }
+
+#[test]
+fn the_height_of_a_height_field_is_drawn_as_that_of_other_fixed_shapes() {
+    let hidden = "hidden = [\"rootx\"]";
+    let file = changed(hidden, &format!("{hidden}\ndisturbances = \"critic\""));
+    let file = file + "\n[[disturbance.terrain]]\nbody = \"world\"\nheight = [0.5, 0.5]\n";
+    let mut config = config(&file, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    *model = model.replace(
+        "<worldbody>",
+        "<asset><hfield name=\"h\" nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\"/></asset>\
+         <worldbody><geom type=\"hfield\" hfield=\"h\" contype=\"1\" conaffinity=\"1\"/>",
+    );
+    let mut world = environments(&config, 1).unwrap();
+    world.reset(0, 0, 1000, [1; 32]).unwrap();
+    assert_eq!(feature(&*world, "disturbance.terrain.world.0"), 0.5);
+}

@@ -3,18 +3,22 @@
 use rapier3d::geometry::Collider;
 use rapier3d::glamx::DVec3;
 use rapier3d::math::{Pose, Vector};
-use rapier3d::parry::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
 use rapier3d::prelude::{ColliderHandle, PhysicsWorld};
 
 use super::matrix::dot;
 use super::motion::{LinkMotion, Motion};
 use super::near::{Bounds, Near};
+use super::points::{Manifolds, frame, is_repeated, touch, touch_field};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
     Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of,
     wide,
 };
 use crate::scene::Shape;
+
+/// Most contacts, and pairs of shapes that are close, in a step; each contact has up to ten rows.
+const MOST_CONTACTS: usize = 2000;
+const MOST_PAIRS: usize = 100_000;
 
 /// The shapes of a robot and its world that can touch, and the contacts of the last step.
 pub(super) struct Touching {
@@ -24,7 +28,7 @@ pub(super) struct Touching {
     /// Shapes that are close in this step, in order; the first of a link and a fixed shape is the fixed one.
     pairs: Vec<[usize; 2]>,
     /// Memory for the points in which two shapes touch.
-    manifolds: Vec<ContactManifold<(), ()>>,
+    manifolds: Manifolds,
     /// For each contact, its first row and the number of rows whose forces add up to the normal force.
     normals: Vec<(usize, usize)>,
     rules: ContactRules,
@@ -59,11 +63,13 @@ enum TouchKind {
     Ground,
 }
 
-/// Forms on which the frame of a contact depends.
+/// Forms on which the points or the frame of a contact depend.
 #[derive(Clone, Copy, PartialEq)]
 enum TouchForm {
     Plane,
     Capsule,
+    /// The height field with this index among the fixed shapes.
+    Field(usize),
     Other,
 }
 
@@ -103,7 +109,7 @@ impl Touching {
                 _ => TouchForm::Other,
             },
         });
-        let fixed = blueprint.grounds.iter().map(|ground| TouchShape {
+        let fixed = blueprint.grounds.iter().enumerate().map(|(index, ground)| TouchShape {
             collider: None,
             surface: Some(ground.surface),
             kind: TouchKind::Ground,
@@ -111,13 +117,17 @@ impl Touching {
             bounds: match &ground.form {
                 GroundForm::Plane => Bounds::Plane,
                 GroundForm::Solid(shape) => Bounds::of_shape(shape, &ground.pose),
-                GroundForm::Field(field) => Bounds::of_field(field),
+                GroundForm::Field(field) => {
+                    let (shape, inside) = field.bounding_box();
+                    Bounds::of_shape(&shape, &inside)
+                }
             },
             inverse: [0.0; 2],
             form: match ground.form {
                 GroundForm::Plane => TouchForm::Plane,
                 GroundForm::Solid(Shape::Capsule { .. }) => TouchForm::Capsule,
-                GroundForm::Solid(_) | GroundForm::Field(_) => TouchForm::Other,
+                GroundForm::Field(_) => TouchForm::Field(index),
+                GroundForm::Solid(_) => TouchForm::Other,
             },
         });
         let mut shapes: Vec<TouchShape> = moving.chain(fixed).collect();
@@ -178,19 +188,23 @@ impl Touching {
         pairs.binary_search_by_key(&shapes, |pair| pair.shapes).ok().map(|index| &pairs[index])
     }
 
-    /// Adds the contacts of all shapes.
+    /// Adds the contacts of all shapes. Returns whether there are no more than a step may have.
     pub(super) fn add(
         &mut self,
         blueprint: &Blueprint,
         physics: &PhysicsWorld,
         start: &Motion,
         problem: &mut ConstraintProblem,
-    ) {
+    ) -> bool {
         self.find_pairs(physics, start);
         self.normals.clear();
-        for index in 0..self.pairs.len() {
-            self.add_pair(blueprint, (self.pairs[index], physics), start, problem);
+        if self.pairs.len() > MOST_PAIRS {
+            return false;
         }
+        (0..self.pairs.len()).all(|index| {
+            self.add_pair(blueprint, (self.pairs[index], physics), start, problem);
+            self.normals.len() <= MOST_CONTACTS
+        })
     }
 
     /// Finds the shapes that are close and can touch.
@@ -208,7 +222,7 @@ impl Touching {
         near.pairs(|[one, other]| {
             let is_ground = self.shapes[one.max(other)].kind == TouchKind::Ground;
             let pair = [one.min(other), one.max(other)];
-            if self.meet(pair) {
+            if pairs.len() <= MOST_PAIRS && self.meet(pair) {
                 pairs.push(if is_ground { [pair[1], pair[0]] } else { pair });
             }
         });
@@ -238,26 +252,25 @@ impl Touching {
         let along = direction(shapes.map(|shape| shape.form), colliders, poses);
         let mut manifolds = std::mem::take(&mut self.manifolds);
         manifolds.clear();
-        let [one, other] = colliders.map(Collider::shape);
         let between = poses[0].inv_mul(&poses[1]);
-        // The engine has no contacts for a plane with another plane, which do not meet.
-        let _ = DefaultQueryDispatcher.contact_manifolds(
-            &between,
-            one,
-            other,
-            plan.margin,
-            &mut manifolds,
-            &mut None,
-        );
+        match shapes[0].form {
+            TouchForm::Field(index) => {
+                let ground = &blueprint.grounds[index].form;
+                touch_field((ground, colliders[1]), &between, plan.margin, &mut manifolds);
+            }
+            _ => touch(colliders, &between, plan.margin, &mut manifolds),
+        }
         for manifold in &manifolds {
-            let pose = poses[0] * manifold.subshape_pos1().copied().unwrap_or(Pose::IDENTITY);
-            let normal = pose.rotation * manifold.local_n1;
-            for point in manifold.points.iter().filter(|point| point.dist < plan.margin) {
+            let normal = poses[0].rotation * manifold.local_n1;
+            for (index, point) in manifold.points.iter().enumerate() {
+                if point.dist >= plan.margin || is_repeated(&manifold.points, index) {
+                    continue;
+                }
                 let contact = Contact {
                     plan,
                     links,
                     inverse,
-                    point: wide(pose * point.local_p1 + normal * (0.5 * point.dist)),
+                    point: wide(poses[0] * point.local_p1 + normal * (0.5 * point.dist)),
                     axes: frame(normal, along).map(wide),
                     position: f64::from(point.dist) - f64::from(plan.margin),
                 };
@@ -368,17 +381,4 @@ fn direction(forms: [TouchForm; 2], colliders: [&Collider; 2], poses: [Pose; 2])
     shape.map_or(Vector::ZERO, |shape| {
         poses[capsule].rotation * (shape.segment.b - shape.segment.a).normalize_or_zero()
     })
-}
-
-/// MuJoCo's frame of a contact: the normal, and two tangents, the first of them along `along` as far as possible.
-fn frame(normal: Vector, along: Vector) -> [Vector; 3] {
-    let towards = match along.length() < 0.5 {
-        true if normal.y.abs() < 0.5 => Vector::Y,
-        true => Vector::Z,
-        false => along,
-    };
-    let tangent = towards - normal * towards.dot(normal);
-    // A capsule that stands on its end has no direction in the plane.
-    let tangent = tangent.try_normalize().unwrap_or_else(|| normal.any_orthonormal_vector());
-    [normal, tangent, normal.cross(tangent)]
 }

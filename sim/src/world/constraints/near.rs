@@ -1,8 +1,7 @@
 //! Shapes that are so close that they may touch. Nothing is kept between steps, so the pairs depend only on the poses.
 
-use rapier3d::math::{Pose, Rotation, Vector};
+use rapier3d::math::{Pose, Vector};
 
-use crate::robot::HeightField;
 use crate::scene::Shape;
 
 /// Rounding of positions, m.
@@ -44,15 +43,6 @@ impl Bounds {
             Shape::Sphere { .. } => Self::Box(Pose::IDENTITY, half_sizes),
             _ => Self::Box(*pose * Pose::from_translation(middle), half_sizes),
         }
-    }
-
-    /// Bounds of a height field, whose heights are along y in its collider's frame.
-    pub(super) fn of_field(field: &HeightField) -> Self {
-        let [x, y] = field.half_sizes;
-        let low = field.heights.iter().copied().fold(f32::INFINITY, f32::min);
-        let high = field.heights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let centre = Pose::from_parts(Vector::Y * (0.5 * (low + high)), Rotation::IDENTITY);
-        Self::Box(centre, Vector::new(x, 0.5 * (high - low), y))
     }
 }
 

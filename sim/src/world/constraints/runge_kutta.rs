@@ -58,7 +58,7 @@ impl Constraints {
             }
             let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
             drives.apply_stage(multibody.expect("the template holds the robot"), &layout.hinges);
-            self.accelerate(robot, drives, physics);
+            is_finite = self.accelerate(robot, drives, physics);
         }
         speeds.clone_from(&start.speeds);
         add_scaled(speeds, step_secs, mean_changes);

@@ -54,10 +54,9 @@ pub(super) fn assert_moves_as_in_mujoco(reference: &serde_json::Value, most: imp
 fn contacts_limits_and_dry_friction_move_robots_as_in_mujoco() {
     assert_moves_as_in_mujoco(&reference(), |name| match name {
         // Both engines choose among many points.
-        "box on a height field" => 2e-2,
-        "ball on a height field" => 1e-3,
-        // Boxes and capsules turn by their contacts' last digits.
-        "box on a box" | "capsule on a box" => 5e-4,
+        "box on a height field" => 1e-2,
+        // MuJoCo's normal is rough where the centre of the ball is in the ground.
+        "ball that sinks deep into a height field" => 5e-2,
         "wheels that touch" => 2e-4,
         name if name.contains("finger") => 1e-3,
         _ => 5e-5,

@@ -258,3 +258,14 @@ fn a_pair_of_two_fixed_shapes_is_no_contact() {
         assert_eq!(world.contact_impulse(), 0.0);
     }
 }
+
+/// Two bodies of `count` spheres each in one place have the square of `count` contacts.
+#[test]
+fn a_step_with_too_many_contacts_fails() {
+    for (count, succeeds) in [(40, true), (50, false)] {
+        let spheres = "<geom size=\"0.1\"/>".repeat(count);
+        let body = format!("<body pos=\"0 0 1\"><freejoint/>{spheres}</body>");
+        let mjcf = document(&body.repeat(2), "");
+        assert_eq!(World::new(Arc::new(robot(&mjcf).unwrap())).step(&[]), succeeds, "{count}");
+    }
+}

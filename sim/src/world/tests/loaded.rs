@@ -307,3 +307,36 @@ fn what_is_left_out_is_listed() {
         "the time constant of `solref` is at least two steps, as with the flag `refsafe`"
     );
 }
+
+#[test]
+fn what_differs_of_integrators_servos_and_hulls_is_listed() {
+    let body = "<body><joint name=\"j\"/><geom type=\"mesh\" mesh=\"m\"/></body>";
+    let cube = "0 0 0 1 0 0 0 1 0 0 0 1 1 1 0 1 0 1 0 1 1 1 1 1";
+    let mesh = format!("<asset><mesh name=\"m\" maxhullvert=\"8\" vertex=\"{cube}\"/></asset>");
+    let servo = "<velocity joint=\"j\" kv=\"1\" ctrlrange=\"-1 1\"/>";
+    let left_out = |from: &str, to: &str| {
+        let mjcf = document(body, servo).replace("<worldbody>", &format!("{mesh}<worldbody>"));
+        let mjcf = mjcf.replace("<option ", "<option integrator=\"implicitfast\" ");
+        robot(&mjcf.replace(from, to)).unwrap().left_out().join("; ")
+    };
+    assert_eq!(left_out("", ""), "");
+    assert_eq!(
+        left_out("maxhullvert=\"8\"", "maxhullvert=\"6\""),
+        "`maxhullvert` has no effect: 1 hulls have more corners"
+    );
+    assert_eq!(
+        left_out("implicitfast", "Euler"),
+        "the speed terms of servos are implicit, as with integrator=\"implicitfast\": 1 actuators"
+    );
+    assert_eq!(
+        left_out("implicitfast", "implicit"),
+        "the integrator is `implicitfast`, without derivatives of Coriolis and gyroscopic forces"
+    );
+    assert_eq!(
+        left_out(
+            "<actuator>",
+            "<tendon><fixed damping=\"1\"><joint joint=\"j\" coef=\"1\"/></fixed></tendon><actuator>"
+        ),
+        "the damping of tendons and their servos is explicit, as with integrator=\"Euler\""
+    );
+}

@@ -278,6 +278,13 @@ fn refused_sections_are_named_with_their_lines() {
             "line 6, <joint>: no hinge or slide has the name `k`; there are j",
         ),
         (
+            section(
+                "<worldbody><body name=\"mc\" mocap=\"true\"/></worldbody>\
+                 <equality><weld body1=\"mc\" body2=\"world\"/></equality>",
+            ),
+            "<weld>: `mc` is a mocap body, which is skipped; remove the connection",
+        ),
+        (
             section("\n<contact><pair geom1=\"a\"/></contact>"),
             "line 6, <pair>: no shape that can touch has the name `a`",
         ),

@@ -1,0 +1,105 @@
+//! Points in which two shapes touch, and the axes of their contacts.
+
+use rapier3d::geometry::Collider;
+use rapier3d::math::{Pose, Vector};
+use rapier3d::parry::bounding_volume::BoundingVolume;
+use rapier3d::parry::query::{
+    ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher, TrackedContact,
+};
+use rapier3d::parry::shape::{PackedFeatureId, SupportMap as _};
+
+use crate::robot::{Convex, GroundForm};
+
+/// Points of contact that are nearer to each other are one, m.
+const SAME_POINT: f32 = 5e-5;
+/// Most contacts of a shape with a height field, as in MuJoCo.
+const MOST_IN_FIELD: usize = 50;
+
+/// The points of pairs of shapes, each with a normal in the frame of the first shape.
+pub(super) type Manifolds = Vec<ContactManifold<(), ()>>;
+
+/// Finds the points in which two shapes touch. `between` is the pose of the second in the frame of the first.
+pub(super) fn touch(
+    [one, other]: [&Collider; 2],
+    between: &Pose,
+    margin: f32,
+    manifolds: &mut Manifolds,
+) {
+    let (one, other) = (one.shape(), other.shape());
+    let hull = other.as_shape::<Convex>().filter(|convex| convex.is_hull());
+    if let (Some(_), Some(hull)) = (one.as_halfspace(), hull) {
+        manifolds.push(hull_on_plane(hull, between, margin));
+        return;
+    }
+    // The engine has no contacts for a plane with another plane, which do not meet.
+    let _ =
+        DefaultQueryDispatcher.contact_manifolds(between, one, other, margin, manifolds, &mut None);
+}
+
+/// The corners of a hull that touch a plane, at most four of those below it.
+fn hull_on_plane(hull: &Convex, between: &Pose, margin: f32) -> ContactManifold<(), ()> {
+    let mut manifold = ContactManifold::new();
+    manifold.local_n1 = Vector::Z;
+    let down = between.rotation.inverse() * -Vector::Z;
+    let lowest = (*between * hull.local_support_point(down)).z;
+    hull.corners_within(down, margin - lowest, |corner, id| {
+        let place = *between * corner;
+        let id = PackedFeatureId::vertex(id);
+        let below = Vector::new(place.x, place.y, 0.0);
+        manifold.points.push(TrackedContact::new(below, corner, id, id, place.z));
+    });
+    manifold
+}
+
+/// Finds the points in which a shape touches a height field: as in MuJoCo, the deepest one in each of its prisms.
+pub(super) fn touch_field(
+    (ground, shape): (&GroundForm, &Collider),
+    between: &Pose,
+    margin: f32,
+    manifolds: &mut Manifolds,
+) {
+    let GroundForm::Field(field) = ground else { return };
+    let bounds = shape.shape().compute_aabb(between).loosened(margin);
+    let deepest = |corners: [[f32; 3]; 6]| {
+        let mut manifold = ContactManifold::new();
+        // A plane does not move, so it meets no height field.
+        let _ = DefaultQueryDispatcher.contact_manifold_convex_convex(
+            between,
+            &Convex::prism(corners),
+            shape.shape(),
+            None,
+            None,
+            margin,
+            &mut manifold,
+        );
+        manifold.points.sort_by(|one, other| one.dist.total_cmp(&other.dist));
+        manifold.points.truncate(1);
+        manifold.points.iter().any(|point| point.dist < margin).then_some(manifold)
+    };
+    let prisms = field.prisms(bounds.mins, bounds.maxs);
+    manifolds.extend(prisms.filter_map(deepest).take(MOST_IN_FIELD));
+}
+
+/// Whether another point is in the place of the point `index`. The engine appends the deepest point of two shapes to those in
+/// which their features touch, of which one is as deep unless the features miss each other.
+pub(super) fn is_repeated(points: &[TrackedContact<()>], index: usize) -> bool {
+    let point = &points[index];
+    let is_appended = [point.fid1, point.fid2] == [PackedFeatureId::UNKNOWN; 2];
+    points[..index].iter().any(|other| {
+        (other.local_p1 - point.local_p1).length() < SAME_POINT
+            || (is_appended && index + 1 == points.len() && other.dist < point.dist + SAME_POINT)
+    })
+}
+
+/// MuJoCo's frame of a contact: the normal, and two tangents, the first of them along `along` as far as possible.
+pub(super) fn frame(normal: Vector, along: Vector) -> [Vector; 3] {
+    let towards = match along.length() < 0.5 {
+        true if normal.y.abs() < 0.5 => Vector::Y,
+        true => Vector::Z,
+        false => along,
+    };
+    let tangent = towards - normal * towards.dot(normal);
+    // A capsule that stands on its end has no direction in the plane.
+    let tangent = tangent.try_normalize().unwrap_or_else(|| normal.any_orthonormal_vector());
+    [normal, tangent, normal.cross(tangent)]
+}
