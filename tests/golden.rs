@@ -10,8 +10,8 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
-/// Task, algorithm and core of each run, and another setting of it.
-const CASES: [[&str; 3]; 15] = [
+/// Task, algorithm and core of each run, and other settings of it.
+const CASES: [[&str; 3]; 16] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -27,6 +27,11 @@ const CASES: [[&str; 3]; 15] = [
     ["ant-4x2", "hasac", "mlp"],
     ["halfcheetah-2x3", "happo-s2mia-exact", "gru policy.noise_size=2"],
     ["halfcheetah-2x3", "hasac-sm", "mlp"],
+    [
+        "halfcheetah-2x3",
+        "hasac",
+        "mlp policy.noise=shared policy.noise_loading=0.7 policy.noise_decay_steps=400",
+    ],
 ];
 
 /// Cases that are repeated with each SIMD width: both cores, both rules with a replay, and a recurrent critic.
@@ -93,18 +98,18 @@ fn s2mia(width: Option<&str>) -> Command {
 /// Trains a case with one actor; returns the hashes of its last checkpoint.
 fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
     let folder = tempfile::tempdir().unwrap();
-    let (core, critic) = core.split_once(' ').unwrap_or((core, "critic.core=mlp"));
+    let (core, others) = core.split_once(' ').unwrap_or((core, ""));
     let chosen = [
         format!("task={task}"),
         format!("algorithm={algorithm}"),
         format!("policy.core={core}"),
-        critic.to_owned(),
         format!("run.dir={}", folder.path().display()),
     ];
     let mut learner = s2mia(width)
         .args(["learner", "--listen=127.0.0.1:0"])
         .args(chosen.iter().map(String::as_str).chain(SETTINGS.iter().copied()))
         .args(own_settings(core, algorithm))
+        .args(others.split_whitespace())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()

@@ -127,9 +127,7 @@ impl Client {
     ) -> Result<Arc<PolicySnapshot>, ActorError> {
         let fetch = async {
             let bytes = self.fetch(name).await?;
-            let snapshot = PolicySnapshot::from_bytes(&bytes)
-                .map_err(|error| wrong_weights(name, error.to_string()))?;
-            Ok(Arc::new(snapshot))
+            Ok(Arc::new(decoded(&bytes, name)?))
         };
         cache.get(name, fetch).await
     }
@@ -263,6 +261,16 @@ fn out_of_order(name: WeightsName) -> ActorError {
     wrong_weights(name, "parts are out of order or too long".to_owned())
 }
 
+/// Decodes weights that match their name. A retry would receive the same bytes.
+fn decoded(bytes: &[u8], name: WeightsName) -> Result<PolicySnapshot, ActorError> {
+    PolicySnapshot::from_bytes(bytes).map_err(|error| {
+        let version = name.version.0;
+        ActorError::Other(format!(
+            "this build cannot decode weights {version} ({error}); use the learner's build"
+        ))
+    })
+}
+
 fn wrong_weights(name: WeightsName, why: String) -> ActorError {
     ActorError::Weights { version: name.version.0, why }
 }
@@ -271,4 +279,20 @@ fn within<M>(deadline: Duration, message: M) -> Request<M> {
     let mut request = Request::new(message);
     request.set_timeout(deadline);
     request
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::{Digest, PolicyVersion};
+
+    use super::*;
+
+    #[test]
+    fn weights_that_this_build_cannot_decode_end_the_actor_and_damaged_ones_are_requested_again() {
+        let name = WeightsName { version: PolicyVersion(3), digest: Digest([7; 32]) };
+        let error = decoded(b"weights of another build", name).unwrap_err();
+        assert!(!is_transient(&error) && is_transient(&out_of_order(name)));
+        let line = error.to_string();
+        assert!(line.starts_with("this build cannot decode weights 3 ("), "{line}");
+    }
 }

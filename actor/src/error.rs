@@ -22,7 +22,7 @@ pub enum ActorError {
     /// The learner's answer violates the protocol.
     #[error("the learner's answer is invalid: {0}")]
     Answer(#[from] Refusal),
-    /// The received weights do not match their name, or cannot be decoded.
+    /// The received weights are incomplete or do not match their name.
     #[error("invalid weights {version}: {why}")]
     Weights {
         /// Version of the weights.

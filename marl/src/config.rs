@@ -46,6 +46,8 @@ pub struct ReplaySettings {
     pub warm_up: u64,
     /// Optimiser steps per environment step after the warm-up.
     pub updates_per_step: f64,
+    /// Whether the true state after a termination is stored: HASAC's batch norm reads it, MADDPG's targets do not.
+    pub terminal_states: bool,
 }
 
 /// How policies are updated.
@@ -186,7 +188,8 @@ impl TrainingConfig {
                 (own.replay, own.batch, own.n_step, own.warm_up, own.updates_per_step)
             }
         };
-        Some(ReplaySettings { capacity, batch, n_step, warm_up, updates_per_step })
+        let terminal_states = self.update.rule == Rule::Hasac;
+        Some(ReplaySettings { capacity, batch, n_step, warm_up, updates_per_step, terminal_states })
     }
 
     /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the

@@ -65,6 +65,8 @@ pub(crate) struct DensityContext {
     pub iteration: u64,
     /// Index of the agent.
     pub agent: u32,
+    /// 0 for the observations of the fit; 1 + the optimiser step for which others are drawn from a replay.
+    pub query: u32,
 }
 
 /// A density `p_theta` over one agent's observations.

@@ -93,7 +93,7 @@ impl Surprise {
         agents.try_for_each(|(index, agent)| {
             let data = &batch.agents[index].observation;
             let observations = Observations { data, width: data.len() / rows };
-            let context = DensityContext { seed, iteration, agent: index as u32 };
+            let context = DensityContext { seed, iteration, agent: index as u32, query: 0 };
             agent.refit(observations, context, alpha)?;
             agent.share = share_of_return(&batch.reward, alpha, agent.scores());
             Ok(())
@@ -115,8 +115,8 @@ impl Surprise {
         Relabelled { rewards, surprise: (self.alpha > 0.0).then_some(self) }
     }
 
-    /// Eq. (9) for steps of any iteration, with the densities of the last fit: rewards `[R]` and observations `[N][R, obs]`
-    /// give `[N][R]`.
+    /// Eq. (9) for steps of any iteration, drawn for optimiser step `step`, with the densities of the last fit: rewards `[R]`
+    /// and observations `[N][R, obs]` give `[N][R]`.
     ///
     /// # Errors
     /// If a tensor operation fails.
@@ -124,12 +124,13 @@ impl Surprise {
         &self,
         reward: &[f32],
         observations: &[Vec<f32>],
+        step: u32,
     ) -> Result<Rewards, MarlError> {
         let agents = self.agents.par_iter().zip(observations).enumerate();
         let agent = |(index, (agent, data)): (usize, (&AgentSurprise, &Vec<f32>))| {
             let observations = Observations { data, width: data.len() / reward.len() };
             let Self { seed, iteration, .. } = *self;
-            let context = DensityContext { seed, iteration, agent: index as u32 };
+            let context = DensityContext { seed, iteration, agent: index as u32, query: step + 1 };
             Ok(self.with_surprise(reward, &agent.score(observations, context)?))
         };
         agents.map(agent).collect()

@@ -24,7 +24,7 @@ pub struct PlayedStep<'a> {
     pub actions: &'a [Vec<f32>],
     /// Log-probabilities of each agent's actions, `[E]`; `None` in evaluation episodes.
     pub log_probs: Option<&'a [Vec<f32>]>,
-    /// Signals in the noise of all agents, `[E, K]`; empty if they share none, and with mean actions.
+    /// Signals in the noise of all agents, `[E, K]`; empty if they share none, in a warm-up, and with mean actions.
     pub signal: &'a [f32],
     /// Results of the step, `[E]`.
     pub outcomes: &'a [Outcome],

@@ -99,7 +99,7 @@ const TABLE: &[Rule] = &[
     rule(
         Zero("policy.noise_loading"),
         &[SHARED_NOISE, HASAC],
-        "above 0 with update.rule = hasac: losses are those of independent noise, so loadings have no gradient",
+        "above 0, at most 0.95, with update.rule = hasac: losses are those of independent noise, so loadings have no gradient",
     ),
     rule(
         SHARED_NOISE,
@@ -149,20 +149,15 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let window = policy.backpropagation_steps;
     multiple(SLOT, environments.steps, WINDOW, window)?;
     multiple(MESSAGE, environments.message_steps, WINDOW, window)?;
-    let replay = match (training.update.rule, &training.hasac) {
-        (marl::config::Rule::Maddpg, _) => Some(("maddpg.replay", training.maddpg.replay)),
-        (marl::config::Rule::Hasac, Some(hasac)) => Some(("hasac.replay", hasac.replay)),
-        (marl::config::Rule::Hasac, None) => {
-            let others =
-                "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
-            return Err(SettingError::new("update.rule", "hasac", others));
-        }
-        _ => None,
-    };
-    if let Some((key, replay)) = replay {
+    let is_hasac = training.update.rule == marl::config::Rule::Hasac;
+    if let Some(replay) = training.replay() {
+        let key = if is_hasac { "hasac.replay" } else { "maddpg.replay" };
         let count = environments.count;
         let range = format!("at least environments.count = {count}, one step of each");
-        within(key, replay, count.., &range)?;
+        within(key, replay.capacity, count.., &range)?;
+    } else if is_hasac {
+        let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
+        return Err(SettingError::new("update.rule", "hasac", others));
     }
     if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
         let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);

@@ -193,6 +193,7 @@ const VARIANTS: [&[&str]; 9] = [
     &["algorithm=happo-s2mia", "observation.norm=none"],
     &["algorithm=happo-s2mia-exact", "policy.noise_hold=3"],
     &[
+        "task=walker2d-2x3",
         "algorithm=hasac-sm",
         "policy.width=8",
         "policy.layers=1",

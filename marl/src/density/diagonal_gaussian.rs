@@ -59,7 +59,8 @@ mod tests {
 
     use super::*;
 
-    const ONCE: DensityContext = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0 };
+    const ONCE: DensityContext =
+        DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, query: 0 };
 
     /// Features: 0 varies, 1 is an agent's index, 2 hardly varies, 3 never varies.
     const ROWS: [f32; 16] = [

@@ -93,7 +93,8 @@ mod tests {
     use super::*;
     use crate::distribution::gaussian::LOG_TWO_PI;
 
-    const CONTEXT: DensityContext = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0 };
+    const CONTEXT: DensityContext =
+        DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, query: 0 };
 
     /// Features: 1 and 2 are scored.
     const ROWS: [f32; 12] = [

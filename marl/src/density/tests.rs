@@ -19,7 +19,7 @@ const KINDS: [DensityKind; 4] = [
 const ROWS: usize = 4000;
 
 fn at(iteration: u64) -> DensityContext {
-    DensityContext { seed: RunSeed(4), iteration, agent: 1 }
+    DensityContext { seed: RunSeed(4), iteration, agent: 1, query: 0 }
 }
 
 fn density(kind: DensityKind, features: usize) -> Box<dyn Density> {
@@ -173,5 +173,19 @@ fn an_agent_without_features_has_the_density_1() {
         let mut density = density(kind, 0);
         assert_eq!(fit(density.as_mut(), &normals(6), 2, 0), [0.0; 3], "{kind:?}");
         assert_eq!(density.omitted_constant(), 0.0, "{kind:?}");
+    }
+}
+
+#[test]
+fn rows_drawn_for_different_optimiser_steps_have_different_noise_with_a_vae_alone() {
+    for kind in KINDS {
+        let (mut density, data) = (density(kind, 1), symbols());
+        let fitted = fit(density.as_mut(), &data, 1, 0);
+        let observations = Observations { data: &data, width: 1 };
+        let query =
+            |query| density.log_prob(observations, DensityContext { query, ..at(0) }).unwrap();
+        assert_eq!(query(0), fitted);
+        assert_eq!(query(1), query(1));
+        assert_eq!(query(1) == query(2), kind != DensityKind::Vae, "{kind:?}");
     }
 }

@@ -242,7 +242,7 @@ impl Vae {
 
     /// Standard normal noise for the latents of `count` rows.
     fn noise(&self, count: usize, context: DensityContext, step: usize) -> Vec<f64> {
-        let DensityContext { seed, iteration, agent } = context;
+        let DensityContext { seed, iteration, agent, .. } = context;
         let draw = Draw::of(Purpose::DensityNoise).iteration(iteration).agent(agent);
         let mut rng = generator(seed, draw.step(step as u32));
         (0..count * self.latent).map(|_| f64::from(standard_normal(&mut rng))).collect()
@@ -278,7 +278,7 @@ impl Density for Vae {
         }
         let inputs = self.inputs(observations);
         let width = self.moments.signals();
-        let DensityContext { seed, iteration, agent } = context;
+        let DensityContext { seed, iteration, agent, .. } = context;
         let draw = Draw::of(Purpose::DensityMinibatch).iteration(iteration).agent(agent);
         for epoch in 0..self.epochs {
             let noise = self.noise(observations.count(), context, epoch);
@@ -291,7 +291,8 @@ impl Density for Vae {
     }
 
     /// `E_q[log p(o | z)] - KL[q(z | o) || N(0, 1)]`. The expectation is over a sample and its reflection, so that
-    /// terms linear in the noise cancel. The noise differs from that of the fit.
+    /// terms linear in the noise cancel. The noise differs from that of the fit and of other
+    /// queries.
     fn log_prob(
         &self,
         observations: Observations<'_>,
@@ -299,7 +300,7 @@ impl Density for Vae {
     ) -> Result<Vec<f64>, MarlError> {
         let inputs = self.inputs(observations);
         let latent = self.latent(&inputs)?;
-        let noise = self.noise(observations.count(), context, self.epochs);
+        let noise = self.noise(observations.count(), context, self.epochs + context.query as usize);
         let mirrored: Vec<f64> = noise.iter().map(|x| -x).collect();
         let there = self.reconstruction(&inputs, &latent, &noise)?;
         let back = self.reconstruction(&inputs, &latent, &mirrored)?;
@@ -342,7 +343,7 @@ mod tests {
         let data = [0.3, -1.0, 2.0, 0.4, -0.7, 1.5];
         let (observations, context) = (
             Observations { data: &data, width: 2 },
-            DensityContext { seed: RunSeed(1), iteration: 0, agent: 0 },
+            DensityContext { seed: RunSeed(1), iteration: 0, agent: 0, query: 0 },
         );
         vae.fit(observations, context).unwrap();
         let (inputs, noise) = (vae.inputs(observations), vae.noise(3, context, 7));

@@ -191,6 +191,7 @@ impl Hasac {
                 ("temperature", Some(agent.temperature()?)),
                 ("gradient_norm", mean(sum.gradient_norm)),
                 ("skipped_steps", Some(agent.skipped() as f64)),
+                ("noise_loading", agent.policy(self.noise_share)?.mean_loading()),
             ] {
                 report.extend(value.map(|value| (format!("agent{index}/{name}"), value)));
             }

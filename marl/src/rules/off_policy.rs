@@ -36,7 +36,7 @@ impl ReplayedExperience {
     ) -> Self {
         Self {
             horizon: NStepHorizon { gamma: config.update.gamma, steps: settings.n_step },
-            replay: Replay::new(problem, settings.capacity),
+            replay: Replay::new(problem, settings),
             problem: problem.clone(),
             chunk_steps: policy.backpropagation_steps,
             settings,
@@ -79,6 +79,7 @@ impl ReplayedExperience {
     ) -> Result<Sample, MarlError> {
         let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step);
         let mut rng = generator(self.seed, draw);
+        let surprise = surprise.map(|surprise| (surprise, step));
         self.replay.sample(self.settings.batch, self.horizon, surprise, &mut rng)
     }
 

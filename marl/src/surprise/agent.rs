@@ -94,7 +94,7 @@ impl AgentSurprise {
     #[cfg(test)]
     pub(super) fn log_prob(&self, rows: &[f32]) -> Vec<f64> {
         use policy::randomness::RunSeed;
-        let context = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0 };
+        let context = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, query: 0 };
         self.density.log_prob(Observations { data: rows, width: 1 }, context).unwrap()
     }
 }
@@ -120,7 +120,8 @@ mod tests {
         DensityKind::RandomEncoder,
         DensityKind::Vae,
     ];
-    const CONTEXT: DensityContext = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0 };
+    const CONTEXT: DensityContext =
+        DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, query: 0 };
     const ROWS: [f32; 8] = [1.0, 0.0, 3.0, 1.0, 5.0, 0.0, 7.0, 1.0];
 
     /// Scores and log-densities of the rows `[R, 2]` after a refit on them.

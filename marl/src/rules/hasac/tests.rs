@@ -84,11 +84,18 @@ fn noise_that_agents_share_is_that_of_acting_only() {
         sample.now.state = normals(30);
         sample.now.observation = vec![normals(20); 2];
         hasac.improve_policies(&sample, &[0, 1], &mut [self::noise(), self::noise()]).unwrap();
+        hasac.scale_noise(0.5);
+        let policies = vec![PolicyMetrics::default(); 2];
+        let sums = Sums { critics: CriticMetrics::default(), policy_steps: 0, policies };
+        let report = hasac.report(1, &sums).unwrap();
         let noise = hasac.agents[1].policy(0.5).unwrap().head().shared_noise();
-        (hasac.arrays().unwrap(), noise.map(|noise| (noise.loading, noise.share)))
+        let loading = report.into_iter().find(|(name, _)| name == "agent1/noise_loading");
+        let noise = noise.map(|noise| (noise.loading, noise.share));
+        (hasac.arrays().unwrap(), noise, loading.map(|(_, found)| found))
     });
     assert_eq!(shared.0, independent.0);
     assert_eq!((shared.1, independent.1), (Some((Some(0.7), Some(0.5))), None));
+    assert!((shared.2.unwrap() - 0.35).abs() < 1e-6 && independent.2.is_none(), "{:?}", shared.2);
 }
 
 #[test]

@@ -1,6 +1,6 @@
-//! Past transitions. Each state is stored once: the next state of a row is in the following row. Only after the end of an
-//! episode and after the newest step is the true final state stored separately. Rewards are stored without surprise, which
-//! is that of the newest density when a transition is drawn.
+//! Past transitions. Each state is stored once: the next state of a row is in the following row. Only after a truncation,
+//! the newest step and, if the rule reads it, a termination is the true final state stored separately. Rewards are stored
+//! without surprise, which is that of the newest density when a transition is drawn.
 //!
 //! A transition of `S` state features, `O` observation features and `A` action dimensions of all agents takes
 //! `4 (S + O + A + 1) + 1` bytes: 249 bytes on `halfcheetah-2x3`, 637 on `halfcheetah-6x1`. A million of them take 0.25
@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 
 use rand::RngCore;
 
+use crate::config::ReplaySettings;
 use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
 use crate::optimisation::minibatch::below;
@@ -36,6 +37,7 @@ struct Columns {
 pub(crate) struct Replay {
     columns: Columns,
     capacity: usize,
+    terminal_states: bool,
     environments: usize,
     /// Steps of each environment stored so far, including overwritten ones.
     steps: u64,
@@ -121,11 +123,12 @@ fn split(row: &[f32], widths: &[usize], agents: &mut Vec<Vec<f32>>) {
 }
 
 impl Replay {
-    /// An empty replay for `capacity` transitions.
-    pub(crate) fn new(problem: &Problem, capacity: usize) -> Self {
+    /// An empty replay.
+    pub(crate) fn new(problem: &Problem, settings: ReplaySettings) -> Self {
         Self {
             columns: Columns::of(problem),
-            capacity,
+            capacity: settings.capacity,
+            terminal_states: settings.terminal_states,
             environments: 0,
             steps: 0,
             rows: Vec::new(),
@@ -180,8 +183,10 @@ impl Replay {
         self.steps += batch.steps as u64;
         for last in &batch.finals {
             let row = last.step * batch.environments + last.environment;
-            let seen = last.state.iter().chain(last.observation.iter().flatten()).copied();
-            self.finals.insert(first + row as u64, seen.collect());
+            if self.terminal_states || !batch.terminated[row] {
+                let seen = last.state.iter().chain(last.observation.iter().flatten()).copied();
+                self.finals.insert(first + row as u64, seen.collect());
+            }
         }
         self.finals = self.finals.split_off(&self.oldest());
         Ok(())
@@ -217,8 +222,8 @@ impl Replay {
     }
 
     /// The n-step target: the rows of the rewards `r_t` to `r_(t+m-1)`, `gamma^m`, and the state after step `t + m - 1`,
-    /// where `m` is `horizon.steps`, or fewer at the end of the episode or of the replay. The end of an episode and the
-    /// newest step have the true final state; a termination does not bootstrap from it.
+    /// where `m` is `horizon.steps`, or fewer at the end of the episode or of the replay. A truncation and the newest step
+    /// have the true final state. A termination does not bootstrap, and has its own state if the final one is not stored.
     fn n_step_target(&self, row: u64, horizon: NStepHorizon) -> NStepTarget<'_> {
         let mut rows = Vec::new();
         let mut discount = 1.0;
@@ -229,7 +234,6 @@ impl Replay {
             discount *= horizon.gamma;
             let last = self.finals.get(&at).map(Vec::as_slice);
             if self.ends[self.index(at)] == TERMINATED {
-                // A replay that an earlier version stored has no final state here.
                 let next = last.unwrap_or(&here[..self.columns.seen()]);
                 return NStepTarget { rows, discount: 0.0, next };
             }
@@ -241,7 +245,8 @@ impl Replay {
         NStepTarget { rows, discount, next: &self.row(at)[..self.columns.seen()] }
     }
 
-    /// `count` transitions, sampled uniformly with replacement. With surprise, every reward is relabelled (Eq. 9).
+    /// `count` transitions, sampled uniformly with replacement. With surprise, every reward is relabelled (Eq. 9), with the
+    /// draws of this optimiser step.
     ///
     /// # Errors
     /// If a tensor operation of a density fails.
@@ -249,7 +254,7 @@ impl Replay {
         &self,
         count: usize,
         horizon: NStepHorizon,
-        surprise: Option<&Surprise>,
+        surprise: Option<(&Surprise, u32)>,
         rng: &mut impl RngCore,
     ) -> Result<Sample, MarlError> {
         let mut sample = Sample::default();
@@ -274,7 +279,7 @@ impl Replay {
         &self,
         targets: &[Vec<&[f32]>],
         gamma: f64,
-        surprise: Option<&Surprise>,
+        surprise: Option<(&Surprise, u32)>,
     ) -> Result<Vec<Vec<f64>>, MarlError> {
         let mut seen = NetworkInputs::default();
         let mut team = Vec::new();
@@ -285,7 +290,7 @@ impl Replay {
             }
         }
         let agents = match surprise {
-            Some(surprise) => surprise.rewards(&team, &seen.observation)?,
+            Some((surprise, step)) => surprise.rewards(&team, &seen.observation, step)?,
             None => vec![team; self.columns.observations.len()],
         };
         let of_agent = |rewards: &Vec<f32>| {
@@ -324,7 +329,7 @@ impl Replay {
         };
         let lengths = [self.rows.len() / width, self.ends.len()].map(Some);
         if lengths == [kept; 2] && after.len() == finals.len() / seen {
-            return Ok(());
+            return self.check_terminal_states();
         }
         let rows = self.rows.len() / width;
         let ends = self.ends.len();
@@ -334,6 +339,20 @@ impl Replay {
              replay/finals",
             after.len()
         )))
+    }
+
+    /// Refuses a termination without its final state if the rule reads it.
+    fn check_terminal_states(&self) -> Result<(), MarlError> {
+        let lacks =
+            |row: &u64| self.ends[self.index(*row)] == TERMINATED && !self.finals.contains_key(row);
+        let mut rows = self.oldest()..self.rows_added();
+        match self.terminal_states.then(|| rows.find(lacks)).flatten() {
+            None => Ok(()),
+            Some(row) => Err(MarlError::Restore(format!(
+                "replay/final_rows lacks {row}, a termination: an earlier version stored this replay; finish the run with \
+                 that version, or start it again"
+            ))),
+        }
     }
 }
 

@@ -17,6 +17,15 @@ fn problem() -> Problem {
     Problem { agents: vec![shape], state: 1 }
 }
 
+fn settings(capacity: usize) -> ReplaySettings {
+    let (batch, n_step, warm_up, updates_per_step) = (1, 1, 0, 1.0);
+    ReplaySettings { capacity, batch, n_step, warm_up, updates_per_step, terminal_states: true }
+}
+
+fn empty(capacity: usize) -> Replay {
+    Replay::new(&problem(), settings(capacity))
+}
+
 /// `steps` steps of one environment from step `first`. The state is the step's number, the reward ten times it. `ends`
 /// are `(step, TERMINATED or TRUNCATED)`. A final state is the number of the step before it plus a half.
 fn stretch(first: usize, steps: usize, ends: &[(usize, u8)]) -> Batch {
@@ -55,7 +64,7 @@ fn ahead(replay: &Replay, row: u64) -> (f64, f64, f32) {
 
 #[test]
 fn a_target_bootstraps_after_n_steps_from_a_truncation_and_never_from_a_termination() {
-    let mut replay = Replay::new(&problem(), 100);
+    let mut replay = empty(100);
     replay.add(&stretch(1, 8, &[(3, TRUNCATED), (5, TERMINATED)])).unwrap();
     // Step numbers 1 2 3 4| 5 6# 7 8, where | truncates and # terminates; row r is step r + 1.
     assert_eq!(ahead(&replay, 0), (10.0 + 10.0 + 7.5, 0.125, 4.0)); // three rewards, then step 4
@@ -75,7 +84,9 @@ fn surprise(alpha: f64) -> Surprise {
 /// Sampled rewards by the step that they begin with.
 fn sampled(replay: &Replay, steps: usize, surprise: Option<&Surprise>) -> BTreeMap<u32, f64> {
     let mut rng = generator(RunSeed(1), Draw::of(Purpose::Replay));
-    let sample = replay.sample(200, NStepHorizon { steps, ..HALF }, surprise, &mut rng).unwrap();
+    let (horizon, surprise) =
+        (NStepHorizon { steps, ..HALF }, surprise.map(|surprise| (surprise, 0)));
+    let sample = replay.sample(200, horizon, surprise, &mut rng).unwrap();
     let numbers = sample.now.state.iter().map(|&number| number as u32);
     numbers.zip(sample.reward[0].iter().copied()).collect()
 }
@@ -83,7 +94,7 @@ fn sampled(replay: &Replay, steps: usize, surprise: Option<&Surprise>) -> BTreeM
 #[test]
 fn a_sampled_reward_contains_the_surprise_of_the_newest_density_alone() {
     let (first, second) = (stretch(1, 2, &[]), stretch(3, 4, &[]));
-    let (mut replay, mut surprise) = (Replay::new(&problem(), 100), surprise(2.0));
+    let (mut replay, mut surprise) = (empty(100), surprise(2.0));
     // Each density is a Gaussian of its iteration's numbers: of 1 and 2 with mean 3/2 and variance 1/4, then of 3 to 6 with
     // mean 9/2 and variance 5/4. Without its constant, the log-density is -log(variance) / 2 - (x - mean)^2 / (2 variance).
     let by_hand = |x: f64, mean: f64, variance: f64| {
@@ -113,7 +124,7 @@ fn a_sampled_reward_contains_the_surprise_of_the_newest_density_alone() {
 
 #[test]
 fn targets_continue_into_the_next_iteration_once_it_is_stored() {
-    let mut replay = Replay::new(&problem(), 100);
+    let mut replay = empty(100);
     replay.add(&stretch(1, 2, &[])).unwrap();
     assert_eq!(ahead(&replay, 1), (20.0, 0.5, 2.5));
     replay.add(&stretch(3, 4, &[])).unwrap();
@@ -122,7 +133,7 @@ fn targets_continue_into_the_next_iteration_once_it_is_stored() {
 
 #[test]
 fn the_oldest_rows_and_their_final_states_are_removed_and_not_sampled() {
-    let mut replay = Replay::new(&problem(), 5);
+    let mut replay = empty(5);
     replay.add(&stretch(1, 4, &[(0, TRUNCATED), (3, TRUNCATED)])).unwrap();
     replay.add(&stretch(5, 4, &[])).unwrap();
     assert_eq!((replay.len(), replay.rows_added(), replay.oldest()), (5, 8, 3));
@@ -136,7 +147,7 @@ fn the_oldest_rows_and_their_final_states_are_removed_and_not_sampled() {
 
 #[test]
 fn a_stored_replay_with_too_few_rows_is_rejected() {
-    let mut replay = Replay::new(&problem(), 5);
+    let mut replay = empty(5);
     replay.add(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
     let mut arrays = state::saved("", |visitor| replay.visit(visitor)).unwrap();
     arrays.insert("replay/ends".to_owned(), Array::U8 { shape: vec![1], data: vec![0] });
@@ -145,12 +156,26 @@ fn a_stored_replay_with_too_few_rows_is_rejected() {
 }
 
 #[test]
+fn a_termination_without_final_state_has_its_own_and_is_rejected_by_a_rule_that_reads_the_final_one()
+ {
+    let omitting = ReplaySettings { terminal_states: false, ..settings(5) };
+    let mut replay = Replay::new(&problem(), omitting);
+    replay.add(&stretch(1, 4, &[(0, TRUNCATED), (2, TERMINATED)])).unwrap();
+    assert_eq!(replay.finals.keys().copied().collect::<Vec<_>>(), [0, 3]);
+    assert_eq!(ahead(&replay, 2), (30.0, 0.0, 3.0));
+    let arrays = state::saved("", |visitor| replay.visit(visitor)).unwrap();
+    state::restored(&arrays, |visitor| replay.visit(visitor)).unwrap();
+    let error = state::restored(&arrays, |visitor| empty(5).visit(visitor)).unwrap_err();
+    assert!(error.to_string().contains("replay/final_rows lacks 2, a termination"), "{error}");
+}
+
+#[test]
 fn a_restored_replay_equals_the_stored_one() {
-    let mut kept = Replay::new(&problem(), 5);
+    let mut kept = empty(5);
     kept.add(&stretch(1, 4, &[(1, TRUNCATED)])).unwrap();
     kept.add(&stretch(5, 3, &[])).unwrap();
     let stored = |replay: &mut Replay| state::saved("", |visitor| replay.visit(visitor)).unwrap();
-    let mut restored = Replay::new(&problem(), 5);
+    let mut restored = empty(5);
     state::restored(&stored(&mut kept), |visitor| restored.visit(visitor)).unwrap();
     for replay in [&mut kept, &mut restored] {
         replay.add(&stretch(8, 2, &[(0, TERMINATED)])).unwrap();
