@@ -44,10 +44,11 @@ mod process {
 /// Settings under test start from no policies: those would be read from the files of another run.
 mod run {
     pub(crate) mod start {
-        use crate::config::{ConfigError, Resolved};
+        use crate::config::ConfigError;
+        use crate::config::run_config::RunConfig;
 
-        pub(crate) fn identify(resolved: &mut Resolved) -> Result<(), ConfigError> {
-            resolved.remove_start();
+        pub(crate) fn identify(config: &mut RunConfig) -> Result<(), ConfigError> {
+            config.resolved.remove_start();
             Ok(())
         }
     }
