@@ -1,7 +1,7 @@
 //! Files that survive a crash and a power cut: written beside their place, flushed, then renamed.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Write as _};
+use std::io::{self, Read as _, Write as _};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
@@ -77,9 +77,15 @@ fn replace_for(mode: u32, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     sync_name(path)
 }
 
-/// Appends a line to a file, which is created if it does not exist, and waits until the disk has it.
+/// Appends a line to a file, which is created if it does not exist, and waits until the disk has it. Half a line that a crash
+/// left is dropped.
 pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
-    let appended = plain_file::append(path).and_then(|mut file| {
+    let appended = plain_file::open(OpenOptions::new().create(true).read(true).append(true), path);
+    let appended = appended.and_then(|mut file| {
+        let mut text = Vec::new();
+        file.read_to_end(&mut text)?;
+        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        file.set_len(whole as u64)?;
         file.write_all(format!("{line}\n").as_bytes())?;
         file.sync_all()
     });

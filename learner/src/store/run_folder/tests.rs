@@ -55,6 +55,18 @@ fn a_second_learner_on_one_folder_is_refused_in_one_line() {
 }
 
 #[test]
+fn a_start_after_one_that_a_crash_cut_off_has_a_line_of_its_own() {
+    let folder = tempdir().unwrap();
+    let run = begun(folder.path());
+    let starts = folder.path().join(STARTS);
+    let whole = fs::read_to_string(&starts).unwrap();
+    assert_eq!(whole, "{\"config_sha256\":\"aa\"}\n");
+    fs::write(&starts, format!("{whole}{{\"config_sha")).unwrap();
+    run.begin("", &start()).unwrap();
+    assert_eq!(fs::read_to_string(&starts).unwrap(), whole.repeat(2));
+}
+
+#[test]
 fn a_folder_is_a_run_from_its_manifest_on_and_is_resumed_only_with_its_settings() {
     let folder = tempdir().unwrap();
     let path = folder.path();
