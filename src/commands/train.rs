@@ -70,7 +70,11 @@ async fn train(
     }
     let summary = summary?;
     let length = if config.resolved.depends_on_length() { Length::Fixed } else { Length::MayRise };
-    let points = learning_curve::evaluations(&folder.join(METRICS))?;
+    // The run has ended well, whatever became of the file.
+    let points = learning_curve::evaluations(&folder.join(METRICS)).unwrap_or_else(|error| {
+        tracing::warn!("{error:#}; the learning curve is not shown");
+        Vec::new()
+    });
     let twice = twice(&config, &summary);
     let elapsed = begin.elapsed();
     let closing = Closing { folder: &folder, summary: &summary, length, twice, elapsed };

@@ -43,6 +43,9 @@ pub(crate) fn write(
     if !measured.is_empty() {
         written.push(put(&file.folder, TABLES[0], &table)?);
         written.push(put(&file.folder, TABLES[1], &csv(&rows))?);
+    } else if let Some(table) = TABLES.iter().find(|name| file.folder.join(name).exists()) {
+        let table = file.folder.join(table);
+        tracing::warn!("{} is of an earlier report: now no run is finished", table.display());
     }
     curves.retain(|curve| !curve.of(Quantity::Return).is_empty());
     if !curves.is_empty() {
