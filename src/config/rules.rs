@@ -151,10 +151,16 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     multiple(MESSAGE, environments.message_steps, WINDOW, window)?;
     let is_hasac = training.update.rule == marl::config::Rule::Hasac;
     if let Some(replay) = training.replay() {
-        let key = if is_hasac { "hasac.replay" } else { "maddpg.replay" };
+        let (key, batch) = if is_hasac {
+            ("hasac.replay", "hasac.batch")
+        } else {
+            ("maddpg.replay", "maddpg.batch")
+        };
         let count = environments.count;
         let range = format!("at least environments.count = {count}, one step of each");
         within(key, replay.capacity, count.., &range)?;
+        let range = format!("at most {key} = {}", replay.capacity);
+        within(batch, replay.batch, ..=replay.capacity, &range)?;
     } else if is_hasac {
         let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
         return Err(SettingError::new("update.rule", "hasac", others));
@@ -273,6 +279,18 @@ mod tests {
             (
                 &["algorithm=hasac", "hasac.replay=9"],
                 "command line: hasac.replay = 9 is out of range: at least environments.count = 10, one step of each",
+            ),
+            (
+                &["algorithm=maddpg", "maddpg.batch=100", "maddpg.replay=99"],
+                "command line: maddpg.batch = 100 is out of range: at most maddpg.replay = 99",
+            ),
+            (
+                &["algorithm=hasac", "hasac.replay=255"],
+                "command line: hasac.replay = 255 does not fit: hasac.batch = 256 is out of range: at most hasac.replay = 255",
+            ),
+            (
+                &["algorithm=hasac", "hasac.batch=65537"],
+                "command line: hasac.batch = 65537 is out of range: 2 to 65536",
             ),
             (
                 &["update.rule=hasac"],

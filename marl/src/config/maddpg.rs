@@ -11,7 +11,7 @@ pub struct MaddpgConfig {
     /// Capacity in transitions; the oldest are overwritten first. A transition takes four bytes per number of the
     /// state, all observations and all actions, plus five.
     pub replay: usize,
-    /// Transitions per optimiser step.
+    /// Transitions per optimiser step; a step takes memory in proportion to them.
     pub batch: usize,
     /// Steps of reward before a target bootstraps.
     pub n_step: usize,
@@ -28,7 +28,7 @@ pub struct MaddpgConfig {
 impl MaddpgConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
         between("maddpg.replay", self.replay, 1, 1_000_000)?;
-        count("maddpg.batch", self.batch)?;
+        between("maddpg.batch", self.batch, 1, 65_536)?;
         count("maddpg.n_step", self.n_step)?;
         let ratio = "0 < updates_per_step <= 10";
         let updates = f64::MIN_POSITIVE..=10.0;

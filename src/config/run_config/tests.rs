@@ -143,6 +143,7 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         ("lease.ttl_secs=0", "lease.ttl_secs"),
         ("critic.clip=-1", "critic.clip"),
         ("maddpg.replay=2000000", "maddpg.replay"),
+        ("maddpg.batch=65537", "maddpg.batch"),
         ("maddpg.polyak=0", "maddpg.polyak"),
         ("log.episodes=some", "log.episodes"),
         ("log.episodes=0", "log.episodes"),
