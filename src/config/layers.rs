@@ -234,6 +234,9 @@ fn chosen(
     };
     let name = values[kind].as_str().expect("every layer is fitted to base.toml, where it is text");
     presets::find(known, name).ok_or_else(|| {
+        if kind == "task" && Path::new(name).is_dir() {
+            return ConfigError::at(place, format!("`{name}` is a folder; name a task file in it"));
+        }
         let names: Vec<&str> = known.iter().map(|preset| preset.name).collect();
         let tip = tip(name, names.iter().copied());
         let known = names.join(", ");

@@ -104,6 +104,7 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
              halfcheetah-pushed-2x3, walker2d-pushed-2x3, ant-pushed-4x2, humanoid-9x8, \
              humanoid-limbs, humanoid-17x1, quadruped-4x3, carry-light-2x2, carry-heavy-2x2",
         ),
+        (&["docs"], "command line: `docs` is a folder; name a task file in it"),
         (
             &["preset=harrl"],
             "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, harl, paper",
