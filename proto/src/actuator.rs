@@ -9,6 +9,7 @@ use crate::wire;
 /// With the control `c`, and `q` and `v` for `gear` times the position and speed of what it acts on, the force is
 /// `gain c + constant - kp q - kd v`, within `force_range`. The torque is `gear` times the force, N m; on a slide or tendon a
 /// force, N. An activation takes the place of `c`. A hinge's or slide's position and speed are those that agents observe.
+/// About several axes of a ball joint, `gear` is 1, and `q` and `v` are sums along the model's gear, which is not stated.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ActuatorSpec {
     /// Name of the actuator; that of its joint, unless the model states one or the joint has several.

@@ -10,19 +10,36 @@ use crate::environment_batch::environments;
 use crate::environment_batch::{EnvironmentBatch, Outcome};
 use crate::task::task_names;
 
+/// Falling hulls, ellipsoids and balls on a height field, which none of the program's tasks has.
+const SHAPES: [&str; 2] = [
+    "robot = \"shapes\"\nmodel = \"shapes.xml\"\nframe_skip = 5\nepisode_steps = 100\n\
+     [agents]\n1x1 = [[\"arm\"]]\n",
+    r#"<mujoco><option timestep="0.005"/><asset><mesh name="hull" vertex="-0.1 -0.1 0 0.1 -0.1 0 0 0.15 0 0 0 0.15"/>
+    <hfield name="field" nrow="3" ncol="3" size="1 1 0.1 0.1" elevation="0 1 0 2 0 1 0 1 2"/></asset><worldbody>
+    <geom type="hfield" hfield="field"/>
+    <body name="arm" pos="0.5 -0.5 0.3"><joint name="arm" axis="0 1 0"/>
+    <geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0"/></body>
+    <body name="hull" pos="0.2 0.1 0.14"><freejoint name="hull"/><geom type="mesh" mesh="hull"/></body>
+    <body name="egg" pos="-0.5 -0.5 0.25"><freejoint name="egg"/><geom type="ellipsoid" size="0.15 0.12 0.1"/></body>
+    <body name="ball" pos="-0.46 -0.5 0.42"><freejoint name="ball"/><geom size="0.05"/></body>
+    </worldbody><actuator><motor joint="arm" ctrlrange="-1 1"/></actuator></mujoco>"#,
+];
 /// Steps with each task and scaling: long enough for contacts.
 const STEPS: usize = 24;
 /// Ends one of the two episodes before the last step.
 const LIMIT: u32 = 15;
 
-/// Start states, observations, global states, rewards and ends of two episodes of every task, and of one that files
+/// Start states, observations, global states, rewards and ends of two episodes of every task, and of two that files
 /// define, with every kind of observation, under fixed actions. Little-endian f32.
 pub fn probe() -> Vec<u8> {
     let tasks = task_names().iter().map(|task| (*task, None));
-    let tasks = tasks.chain([("hopper-2x1", Some(TaskDefinition::example()))]);
+    let [file, model] = SHAPES.map(str::to_owned);
+    let shapes = TaskDefinition { file, model };
+    let tasks = tasks
+        .chain([("hopper-2x1", Some(TaskDefinition::example())), ("shapes-1x1", Some(shapes))]);
     let traces = tasks
         .flat_map(|(task, definition)| views().map(|view| trace(task, definition.clone(), view)));
-    traces.flatten().flatten().collect()
+    traces.flatten().flat_map(|(numbers, _)| numbers).flat_map(f32::to_le_bytes).collect()
 }
 
 /// An observation of everything, scaled; one of the neighbourhood; and the only one that games have.
@@ -41,12 +58,12 @@ fn views() -> [ObservationConfig; 3] {
     ]
 }
 
-/// `None` if the task has no such observation.
+/// The numbers and the environments after the last step; `None` if the task has no such observation.
 fn trace(
     task: &str,
     definition: Option<TaskDefinition>,
     observation: ObservationConfig,
-) -> Option<Vec<u8>> {
+) -> Option<(Vec<f32>, Box<dyn EnvironmentBatch>)> {
     let task = task.to_owned();
     let config = TaskConfig { task, definition, weights: None, observation };
     let mut environments = environments(&config, 2).ok()?;
@@ -61,15 +78,18 @@ fn trace(
         environments.step(&actions, &mut outcome).expect("the actions are in range");
         record(&*environments, &outcome, &mut numbers);
     }
-    Some(numbers.iter().flat_map(|number: &f32| number.to_le_bytes()).collect())
+    Some((numbers, environments))
 }
 
-/// A triangle wave, which is exact in f32 and needs no library function; for choices, each in turn.
+/// A triangle wave, which is exact in f32 and needs no library function; for choices, each in turn. Carts drive straight on:
+/// only so do they push their load in this time.
 fn actions(environments: &dyn EnvironmentBatch, step: usize) -> Vec<f32> {
+    let drives_on = environments.description().task.starts_with("carry");
     let ranges = environments.description().agents.iter().map(|agent| &agent.action);
     let ranges = ranges.flat_map(|range| std::iter::repeat_n(range, range.size));
     let action = |(index, range): (usize, &ActionSpec)| match range.choices {
         Some(choices) => ((step + index) % choices as usize) as f32,
+        None if drives_on => range.high,
         None => {
             let phase = ((3 * step + 5 * index) % 32) as f32 / 16.0;
             range.low + (range.high - range.low) * (phase - 1.0).abs()
@@ -93,5 +113,38 @@ fn record(environments: &dyn EnvironmentBatch, outcome: &[Outcome; 2], numbers: 
         let start = numbers.len();
         numbers.resize(start + description.state.len(), 0.0);
         environments.state(environment, &mut numbers[start..]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The global state after the last step has these features.
+    fn last(task: &str, definition: Option<TaskDefinition>, names: [&str; 3]) -> [f32; 3] {
+        let [_, _, view] = views();
+        let (_, environments) = trace(task, definition, view).unwrap();
+        let state = environments.state_of(0);
+        let features = &environments.description().state;
+        names.map(|name| state[features.iter().position(|own| own.name == name).expect(name)])
+    }
+
+    #[test]
+    fn the_carts_push_their_load() {
+        for task in ["carry-light-2x2", "carry-heavy-2x2"] {
+            let names = ["left.x.velocity", "right.x.velocity", "load.x.velocity"];
+            let speeds = last(task, None, names);
+            assert!(speeds.iter().all(|speed| *speed > 0.02), "{task}: {speeds:?}");
+        }
+    }
+
+    #[test]
+    fn the_shapes_rest_on_the_height_field_and_the_ball_slides_off_the_ellipsoid() {
+        let [file, model] = SHAPES.map(str::to_owned);
+        let names = ["hull.z.position", "egg.z.position", "ball.x.position"];
+        let [hull, egg, ball] = last("shapes-1x1", Some(TaskDefinition { file, model }), names);
+        // In 0.6 s, each would fall by 1.8 m.
+        assert!((-0.1..0.14).contains(&hull) && (0.0..0.25).contains(&egg), "{hull} {egg}");
+        assert!(ball > -0.45, "{ball}");
     }
 }

@@ -170,8 +170,8 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
         output::line(film.path().display());
     }
     output::line(trial.summary(arguments.episodes));
-    let why = "the simulation is unstable, or has more than 2,000 contacts at a time: shorten the model's timestep, or let fewer \
-        shapes touch";
+    let why = "the simulation is unstable, or has more than 2,000 contacts or 100,000 close pairs of shapes at a time: \
+        shorten the model's timestep, or let fewer shapes touch";
     anyhow::ensure!(trial.faults == 0, why);
     Ok(())
 }

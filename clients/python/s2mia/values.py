@@ -15,7 +15,8 @@ class Actuator:
 
     With the control `c`, and `q` and `v` for `gear` times the position and speed of the joint, as agents observe them, the force
     is `gain * c + constant - kp * q - kd * v`, within `force_range`. The torque is `gear` times the force, N m; on a slide or
-    tendon a force, N. `None` is no limit.
+    tendon a force, N. About several axes of a ball joint, `gear` is 1, and `q` and `v` are sums along the model's gear, which is
+    not stated. `None` is no limit.
     """
 
     name: str

@@ -68,9 +68,9 @@ impl Robot {
         let (kp, kd) = (0.0 - stiffness, 0.0 - slope);
         let kind = if kp == 0.0 && kd == 0.0 {
             ActuatorKind::Motor
-        } else if kp != 0.0 && gain == kp {
+        } else if constant == 0.0 && kp != 0.0 && gain == kp {
             ActuatorKind::Position
-        } else if kp == 0.0 && gain == kd {
+        } else if constant == 0.0 && kp == 0.0 && gain == kd {
             ActuatorKind::Velocity
         } else {
             ActuatorKind::General

@@ -73,7 +73,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     })
 }
 
-/// What MuJoCo computes otherwise of meshes and of the speed terms of actuators and tendons.
+/// What MuJoCo computes otherwise of meshes, fluids and the speed terms of actuators and tendons.
 fn differences(context: &Context, motors: &[MotorPlan], tendons: &[TendonPlan]) -> Vec<String> {
     let mut found = Vec::new();
     let count = context.meshes.beyond_limit();
@@ -90,6 +90,9 @@ fn differences(context: &Context, motors: &[MotorPlan], tendons: &[TendonPlan]) 
     if !is_implicit && !on_joints.is_empty() {
         let what = "the speed terms of servos are implicit, as with integrator=\"implicitfast\"";
         found.push(format!("{what}: {} actuators", on_joints.len()));
+    }
+    if is_implicit && context.options.fluid.acts() {
+        found.push("the forces of the fluid are explicit, as with integrator=\"Euler\"".to_owned());
     }
     let has_damping = tendons.iter().any(|tendon| tendon.damping != 0.0);
     if is_implicit && (has_damping || !on_tendons.is_empty()) {

@@ -361,7 +361,11 @@ fn typed<T: DeserializeOwned>(text: &str) -> Result<T, SimError> {
             None => message,
         };
         let start = before.rsplit('\n').next().and_then(|line| line.rsplit_once('='));
-        let key = start.and_then(|(key, _)| key.trim().rsplit([' ', '{', ',']).next());
+        // The span of such a key is the key itself, and what is before it another one.
+        let is_key = ["unknown field", "duplicate"].iter().any(|start| message.starts_with(start));
+        let key = start
+            .filter(|_| !is_key)
+            .and_then(|(key, _)| key.trim().rsplit([' ', '{', ',']).next());
         let key = key.map(|key| format!(", `{key}`")).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
         let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();

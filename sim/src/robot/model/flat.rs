@@ -193,9 +193,7 @@ fn assets(
         if let Some(hull) = hulls.get(&name) {
             let vertex = hull.as_ref().map_or_else(|| MARK.to_owned(), |hull| corners(hull));
             let attributes = [("name", name), ("vertex", vertex)];
-            asset.attributes.retain(|name, _| name == "maxhullvert");
-            let stated = attributes.map(|(name, text)| (name.to_owned(), text));
-            asset.attributes.extend(stated);
+            asset.attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
             section.children.push(asset);
         }
     }

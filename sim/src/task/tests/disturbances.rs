@@ -332,6 +332,11 @@ fn invalid_disturbances_are_refused_with_their_key() {
             "[disturbance]\nsensor_noise = 0.1".to_owned(),
             ", `sensor_noise`: invalid type: floating point `0.1`, expected a table",
         ),
+        (
+            "[disturbance]\nsensor_noise = { positions = { normal = 1 }, velocity = { normal = 1 } }"
+                .to_owned(),
+            "line 45: unknown field `velocity`",
+        ),
         (format!("{payload}{payload}"), "disturbance.payload: the link `torso` is named twice"),
     ] {
         let message = refusal(&format!("{HOPPER}\n{lines}"));

@@ -226,4 +226,6 @@ fn the_height_of_a_height_field_is_drawn_as_that_of_other_fixed_shapes() {
     let mut world = environments(&config, 1).unwrap();
     world.reset(0, 0, 1000, [1; 32]).unwrap();
     assert_eq!(feature(&*world, "disturbance.terrain.world.0"), 0.5);
+    let shapes = world.world(0).unwrap().fixed_shapes();
+    assert_eq!(shapes.iter().map(|shape| shape.position).collect::<Vec<_>>(), [[0.0, 0.0, 0.5]]);
 }

@@ -55,8 +55,17 @@ fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
         activation_range: Some([-2.0, 2.0]),
         ..motor.clone()
     };
+    let moved = ActuatorSpec {
+        kind: ActuatorKind::General,
+        gain: 50.0,
+        constant: 2.0,
+        kp: 50.0,
+        kd: 3.0,
+        ..motor.clone()
+    };
     for (actuator, expected) in [
         ("motor", motor),
+        ("general gainprm=\"50\" biastype=\"affine\" biasprm=\"2 -50 -3\"", moved),
         ("position kp=\"50\" kv=\"3\" forcerange=\"-5 6\"", servo),
         ("velocity kv=\"7\"", speed),
         (

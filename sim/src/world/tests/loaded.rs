@@ -333,6 +333,10 @@ fn what_differs_of_integrators_servos_and_hulls_is_listed() {
         "the integrator is `implicitfast`, without derivatives of Coriolis and gyroscopic forces"
     );
     assert_eq!(
+        left_out("<option ", "<option viscosity=\"0.1\" "),
+        "the forces of the fluid are explicit, as with integrator=\"Euler\""
+    );
+    assert_eq!(
         left_out(
             "<actuator>",
             "<tendon><fixed damping=\"1\"><joint joint=\"j\" coef=\"1\"/></fixed></tendon><actuator>"
