@@ -162,10 +162,10 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
     )
 }
 
-/// `86 (20 to 100)`, or `-` for a missing value.
+/// `86 (20 to 100)`, or `-` for a missing value and for one that some resamples lack: a score whose unit may be 0.
 fn shown(estimate: Estimate, decimals: usize) -> String {
     let Estimate { value, interval } = estimate;
-    if value.is_nan() {
+    if value.is_nan() || interval.high.is_nan() {
         return "-".to_owned();
     }
     format!("{value:.decimals$} ({:.decimals$} to {:.decimals$})", interval.low, interval.high)
@@ -217,6 +217,12 @@ mod tests {
             runs_at_threshold: 2,
             improvement: None,
         }
+    }
+
+    #[test]
+    fn a_figure_that_some_resamples_lack_is_not_shown() {
+        let interval = Interval { low: 2.0, high: f64::NAN };
+        assert_eq!(shown(Estimate { value: 3.0, interval }, 2), "-");
     }
 
     #[test]

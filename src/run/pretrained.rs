@@ -16,10 +16,12 @@ use crate::errors::Usage;
 use crate::run::run_path;
 use crate::run::stored::Trained;
 
-/// Where a team comes from: a run of its task with the default settings.
+/// Where a team comes from: a run of its task with the default settings of an algorithm.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct TeamRecord {
+    /// Algorithm of the run.
+    pub(crate) algorithm: String,
     /// Seed of the run.
     pub(crate) seed: u64,
     /// Iterations of the run.
@@ -134,8 +136,9 @@ impl Team {
     /// Its policies with the settings of their run.
     pub(crate) fn trained(self) -> anyhow::Result<Trained> {
         let Self { task, policies } = self;
-        let TeamRecord { seed, iteration, env_steps, .. } = RECORDS[task];
-        let config = RunConfig::with(&[task, &format!("run.seed={seed}")])?;
+        let TeamRecord { ref algorithm, seed, iteration, env_steps, .. } = RECORDS[task];
+        let (algorithm, seed) = (format!("algorithm={algorithm}"), format!("run.seed={seed}"));
+        let config = RunConfig::with(&[task, &algorithm, &seed])?;
         let digest = Digest::of(policies);
         let policy =
             PolicySnapshot::from_bytes(policies).context("cannot read the team's policies")?;

@@ -245,7 +245,7 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
     for (name, all, recorded) in [
         ("paper.toml", "720 runs, 7,200,000,000 steps", 0),
         ("study-second-round.toml", "90 runs, 90,000,000 steps", 90),
-        ("study-jump.toml", "70 runs, 70,000,000 steps", 0),
+        ("study-jump.toml", "90 runs, 90,000,000 steps", 90),
         ("study-terms.toml", "60 runs, 60,000,000 steps", 60),
         ("study-mappo.toml", "207 runs, 207,000,000 steps", 207),
         ("study-maddpg.toml", "9 runs, 2,700,000 steps", 6),
