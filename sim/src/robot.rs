@@ -26,6 +26,7 @@ use serde::Deserialize;
 
 use activation::Activation;
 
+use crate::arrays;
 use crate::error::SimError;
 use crate::scene::{LinkShape, parts};
 use crate::state::StateBounds;
@@ -70,8 +71,10 @@ pub(crate) struct RobotRow {
 pub(crate) struct Physics {
     pub(crate) integration: Option<Integration>,
     /// Softness of the joint limits.
+    #[serde(deserialize_with = "arrays::table")]
     pub(crate) limits: SoftnessOverride,
     /// Softness of the contacts.
+    #[serde(deserialize_with = "arrays::table")]
     pub(crate) contacts: SoftnessOverride,
     /// Distance at which contacts become active, m.
     pub(crate) margin: Option<f32>,

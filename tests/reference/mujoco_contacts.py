@@ -238,6 +238,15 @@ MODELS = {
         ),
         None,
     ),
+    "ball with a margin and a pair without one": (
+        document(
+            '<body pos="0 0 0.12"><freejoint/><geom name="b" size="0.1" mass="10" margin="0.02"/></body>',
+            "",
+            "",
+            '<contact><pair geom1="b" geom2="floor"/></contact>',
+        ),
+        None,
+    ),
     "finger on its palm": (document(FINGER.format(tip="")), None),
     "finger through its palm": (
         document(FINGER.format(tip=""), "", "", '<contact><exclude body1="tip" body2="palm"/></contact>'),

@@ -7,11 +7,11 @@ use crate::robot::{JointPlan, Robot};
 use crate::task::Rules;
 use crate::world::World;
 
-/// Depth of a start in the floor that is worth a warning, m.
+/// Depth of a start in another shape that is worth a warning, m.
 const SMALLEST_DEPTH: f32 = 1e-3;
 /// Distance of a start from a joint's limits that is worth a warning, rad or m.
 const SMALLEST_EXCESS: f32 = 1e-3;
-/// Most joints that a warning names.
+/// Most joints or shapes that a warning names.
 const MOST_NAMED: usize = 6;
 
 /// One sentence for each problem, with what to change.
@@ -20,7 +20,8 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules) -> Vec<String> {
     let mut world = World::new(Arc::clone(robot));
     world.rebuild(&coordinates, &velocities);
     let mut warnings = robot.hard_to_explore();
-    warnings.extend(floor(robot, &world));
+    warnings.extend(floor(robot));
+    warnings.extend(overlaps(&world));
     warnings.extend(limits(robot, &coordinates));
     warnings.extend(unnamed(robot, rules));
     warnings
@@ -38,50 +39,67 @@ fn unnamed(robot: &Robot, rules: &Rules) -> Option<String> {
     })
 }
 
-fn floor(robot: &Robot, world: &World) -> Option<String> {
+/// Says that a robot that can fall has no floor.
+fn floor(robot: &Robot) -> Option<String> {
     let blueprint = &robot.blueprint;
     let falls = |joint: &JointPlan| {
         matches!(joint, JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Planar(_))
     };
-    if !blueprint.links.iter().any(|link| falls(&link.joint)) {
-        return None;
-    }
-    if blueprint.grounds.is_empty() {
+    let is_bottomless =
+        blueprint.grounds.is_empty() && blueprint.links.iter().any(|link| falls(&link.joint));
+    is_bottomless.then(|| {
         let why = "the robot has no floor that it can touch, so it falls: add <geom type=\"plane\" size=\"0 0 1\"/> \
             to the `worldbody`, or set `contype` and `conaffinity` of the floor and of shapes";
-        return Some(why.to_owned());
-    }
-    let height = world.lowest_contact()?;
-    (height < -SMALLEST_DEPTH).then(|| {
-        format!(
-            "the robot starts {:.3} m deep in the floor: raise it in [start], by `coordinates` or a `keyframe`",
-            -height
-        )
+        why.to_owned()
     })
+}
+
+/// Says what starts inside the floor, and inside other fixed shapes, other robots and objects.
+fn overlaps(world: &World) -> Vec<String> {
+    let mut overlaps = world.overlaps();
+    overlaps.retain(|_, depth| *depth > SMALLEST_DEPTH);
+    let floors = overlaps.iter().filter(|((_, other), _)| other.is_none());
+    let floor = floors.map(|(_, depth)| *depth).reduce(f32::max).map(|depth| {
+        format!(
+            "the robot starts {depth:.3} m deep in the floor: raise it in [start], by `coordinates` or a `keyframe`"
+        )
+    });
+    let inside = overlaps.iter().filter_map(|((shape, other), depth)| {
+        let other = (*other)?;
+        Some(format!("`{shape}` by {depth:.3} m in `{other}`"))
+    });
+    let inside = listed(&inside.collect::<Vec<_>>()).map(|listed| {
+        format!(
+            "what starts inside other shapes is pushed out, {listed}: set [start] `coordinates` or a `keyframe`"
+        )
+    });
+    floor.into_iter().chain(inside).collect()
+}
+
+/// The first of some names; `None` without any.
+fn listed(names: &[String]) -> Option<String> {
+    let more = if names.len() > MOST_NAMED { ", ..." } else { "" };
+    let first = &names[..names.len().min(MOST_NAMED)];
+    (!names.is_empty()).then(|| format!("{}{more}", first.join(", ")))
 }
 
 fn limits(robot: &Robot, coordinates: &[f32]) -> Option<String> {
     let hinges = robot.layout.hinges.iter().enumerate();
-    let outside: Vec<(f32, String)> = hinges
+    let outside: Vec<String> = hinges
         .filter_map(|(index, hinge)| {
             let [low, high] = hinge.plan.range?;
             let at = coordinates[robot.layout.hinge_coordinate(index)];
             let excess = (low - at).max(at - high);
             let [unit, _] = hinge.units();
             (excess > SMALLEST_EXCESS)
-                .then(|| (excess, format!("`{}` by {excess:.3} {unit}", hinge.plan.name)))
+                .then(|| format!("`{}` by {excess:.3} {unit}", hinge.plan.name))
         })
         .collect();
-    let count = outside.len();
-    if count == 0 {
-        return None;
-    }
-    let joints = if count == 1 { "1 joint starts" } else { &format!("{count} joints start") };
-    let named: Vec<&str> =
-        outside.iter().take(MOST_NAMED).map(|(_, named)| named.as_str()).collect();
-    let more = if count > MOST_NAMED { ", ..." } else { "" };
-    Some(format!(
-        "{joints} outside the limits, {}{more}: set [start] `coordinates` or a `keyframe`",
-        named.join(", ")
-    ))
+    let joints = match outside.len() {
+        1 => "1 joint starts".to_owned(),
+        count => format!("{count} joints start"),
+    };
+    listed(&outside).map(|listed| {
+        format!("{joints} outside the limits, {listed}: set [start] `coordinates` or a `keyframe`")
+    })
 }

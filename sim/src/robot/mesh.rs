@@ -73,7 +73,10 @@ impl Mesh {
             return Err("a coordinate is not finite".to_owned());
         }
         match self.triangles.iter().flatten().find(|index| **index >= count) {
-            Some(index) => Err(format!("a face names vertex {}; there are {count}", index + first)),
+            Some(index) => {
+                let [named, last] = [index + first, count - 1 + first];
+                Err(format!("a face names vertex {named}; the last one is {last}"))
+            }
             None => Ok(self),
         }
     }
@@ -360,9 +363,12 @@ mod tests {
         cut.pop();
         assert!(reason("a.stl", &cut).contains("12 triangles need 684 bytes, it has 683"));
         assert!(reason("a.stl", b"solid cube").contains("at least 84 bytes"));
-        assert!(reason("a.obj", b"v 0 0 0\nf 1 2 9\n").contains("vertex 2; there are 1"));
+        assert!(
+            reason("a.obj", b"v 0 0 0\nf 1 2 9\n")
+                .contains("a face names vertex 2; the last one is 1")
+        );
         let named = Mesh::new(vec![[0.0; 3]; 4], vec![[0, 1, 9]]).unwrap_err();
-        assert_eq!(named, "a face names vertex 9; there are 4");
+        assert_eq!(named, "a face names vertex 9; the last one is 3");
         assert!(reason("a.obj", b"v 0 0\n").contains("line 1 is invalid: v 0 0"));
         assert!(reason("a.dae", b"").contains("not an STL, OBJ or MSH file"));
         let flat = Mesh::read("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();

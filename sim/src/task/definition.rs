@@ -39,23 +39,23 @@ pub(crate) struct TaskFile {
     #[serde(default)]
     pub(crate) healthy: Vec<HealthyRow>,
     /// Noise on the rest pose.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     pub(crate) start: StartRow,
     /// Map from actions to controls.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     pub(crate) actions: ActionsRow,
     /// Features of the global state.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     pub(crate) state: StateRow,
     /// Target velocity that the agents observe.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     pub(crate) command: CommandRow,
     /// What disturbs the episodes.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     pub(crate) disturbance: DisturbanceRow,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     neighbourhood: Neighbourhood,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "arrays::table")]
     physics: Physics,
     /// Settings of the learner, in the form of `configs/tasks`; the program checks them.
     #[serde(default)]
@@ -242,6 +242,9 @@ impl TaskFile {
         };
         if !name(&file.robot) {
             return unnamed("robot", &file.robot);
+        }
+        if file.model.is_empty() {
+            return Err(refused("model is empty; name an MJCF file, such as \"robot.xml\""));
         }
         if let Some(partition) = file.agents.keys().find(|partition| !name(partition)) {
             return unnamed("a key of [agents]", partition);

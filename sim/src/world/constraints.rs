@@ -11,6 +11,7 @@
 //!
 //! No number is kept between steps, so a rebuilt world continues as the uninterrupted one.
 
+mod contact;
 mod contacts;
 mod couplings;
 mod matrix;
@@ -71,6 +72,17 @@ impl Constraints {
     /// Sum of the normal impulses in the last step, N s.
     pub(crate) fn normal_impulse(&self) -> f32 {
         self.normal_impulse as f32
+    }
+
+    /// Depths, m, in which shapes are in each other, with the shapes as `Touching` counts them.
+    pub(crate) fn depths(
+        &mut self,
+        robot: &Robot,
+        multibody: &Multibody,
+        physics: &PhysicsWorld,
+    ) -> Vec<([usize; 2], f32)> {
+        self.start.read(robot, multibody, physics);
+        self.touching.depths(&robot.blueprint, physics, &self.start)
     }
 
     /// Sets the friction of all contacts to this multiple of the model's.

@@ -1,11 +1,13 @@
 //! Physics diagnostics: energy, centre of mass, lowest point, contact impulse. All but the centre of mass may allocate; do
 //! not use them while stepping.
 
-use rapier3d::math::{Pose, Vector};
+use std::collections::BTreeMap;
+
+use rapier3d::math::Vector;
 use rapier3d::parry::shape::SupportMap as _;
 
-use super::{Enforcer, World};
-use crate::robot::{Convex, GroundForm, LinkPlan, ShapePlan};
+use super::{Constraints, Enforcer, World};
+use crate::robot::{Blueprint, Convex, GroundForm, LinkPlan};
 use crate::scene::Shape;
 
 impl World {
@@ -23,28 +25,10 @@ impl World {
 
     /// Height of the robot's lowest point above a floor at z = 0, m; negative for penetration.
     pub fn lowest_point(&self) -> f32 {
-        self.lowest(Pose::IDENTITY, |_| true).unwrap_or(f32::INFINITY)
-    }
-
-    /// Height above a plane of the lowest point that can touch it, m; negative for penetration. `None` if nothing can
-    /// touch a plane.
-    pub(crate) fn lowest_contact(&self) -> Option<f32> {
-        let grounds = self.robot.blueprint.grounds.iter();
-        let planes = grounds.filter(|ground| matches!(ground.form, GroundForm::Plane));
-        let heights = planes.filter_map(|plane| {
-            self.lowest(plane.pose, |shape| {
-                shape.surface.is_some_and(|surface| surface.meets(&plane.surface))
-            })
-        });
-        heights.reduce(f32::min)
-    }
-
-    /// Height of the lowest point of some shapes above the plane z = 0 of a frame, m.
-    fn lowest(&self, plane: Pose, counts: impl Fn(&ShapePlan) -> bool + Copy) -> Option<f32> {
         let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         let heights = links.flat_map(|(plan, joint)| {
-            let frame = plane.inverse() * self.frame(joint);
-            plan.shapes.iter().filter(move |shape| counts(shape)).map(move |shape| {
+            let frame = self.frame(joint);
+            plan.shapes.iter().map(move |shape| {
                 let pose = frame * shape.pose;
                 let along = pose.rotation * Vector::Z;
                 match shape.shape {
@@ -57,7 +41,35 @@ impl World {
                 }
             })
         });
-        heights.reduce(f32::min)
+        heights.fold(f32::INFINITY, f32::min)
+    }
+
+    /// What links are in that can touch them and that no tree of their own moves, each with the largest depth, m: the name of
+    /// a link's shape, and that of the other shape; `None` for a plane.
+    pub(crate) fn overlaps(&self) -> BTreeMap<(&str, Option<&str>), f32> {
+        let blueprint = &self.robot.blueprint;
+        let links = blueprint.links.iter().enumerate();
+        let shapes: Vec<_> = links
+            .flat_map(|(link, plan)| plan.shapes.iter().map(move |shape| (link, shape)))
+            .collect();
+        let name =
+            |index: usize| shape_name(blueprint, &shapes[index].1.name, shapes[index].1.body);
+        let tree = |index: usize| blueprint.tree_of(shapes[index].0);
+        let is_base = |index: usize| blueprint.links[shapes[index].0].is_base();
+        let mut constraints = Constraints::new(&self.robot, 0.0);
+        let mut overlaps = BTreeMap::new();
+        for (pair, depth) in constraints.depths(&self.robot, self.multibody(), &self.physics) {
+            let [first, second] = pair;
+            let other = match first.checked_sub(shapes.len()).map(|at| &blueprint.grounds[at]) {
+                Some(plane) if matches!(plane.form, GroundForm::Plane) => None,
+                Some(ground) => Some(shape_name(blueprint, &ground.name, ground.body)),
+                None if tree(first) == tree(second) || pair.into_iter().any(is_base) => continue,
+                None => Some(name(first)),
+            };
+            let deepest = overlaps.entry((name(second), other)).or_insert(depth);
+            *deepest = depth.max(*deepest);
+        }
+        overlaps
     }
 
     /// Sum of the normal impulses in the last physics step, N s.
@@ -112,5 +124,14 @@ impl World {
     fn mass_centres(&self) -> impl Iterator<Item = (&LinkPlan, Vector)> {
         let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         links.map(|(plan, joint)| (plan, self.frame(joint) * plan.mass.local_com))
+    }
+}
+
+/// Name of a shape; without one that of its body.
+fn shape_name<'a>(blueprint: &'a Blueprint, name: &'a str, body: usize) -> &'a str {
+    match body {
+        _ if !name.is_empty() => name,
+        0 => "a fixed shape",
+        body => &blueprint.bodies[body],
     }
 }

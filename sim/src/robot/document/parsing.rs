@@ -28,22 +28,24 @@ impl Element {
                 root.tag_name().name()
             ));
         }
-        read(root, &Source::of(text, None), folder, Depth { elements: 1, includes: 0 })
+        read(root, &Source::of(text, None, None), folder, 1)
     }
 }
 
 /// A file of a document.
-struct Source {
+struct Source<'a> {
     /// `None` for the document itself.
     file: Option<Rc<str>>,
+    /// The file that includes it.
+    outer: Option<&'a Source<'a>>,
     /// Bytes before the end of each line.
     line_ends: Vec<usize>,
 }
 
-impl Source {
-    fn of(text: &str, file: Option<Rc<str>>) -> Self {
+impl<'a> Source<'a> {
+    fn of(text: &str, file: Option<Rc<str>>, outer: Option<&'a Self>) -> Self {
         let line_ends = text.match_indices('\n').map(|(at, _)| at).collect();
-        Self { file, line_ends }
+        Self { file, outer, line_ends }
     }
 
     /// Number of the line with this byte.
@@ -52,21 +54,14 @@ impl Source {
     }
 }
 
-/// How many elements, and how many included files, an element is in.
-#[derive(Clone, Copy)]
-struct Depth {
-    /// With the element itself.
-    elements: usize,
-    includes: usize,
-}
-
+/// Reads an element that is inside `depth` elements, with itself.
 fn read(
     node: Node<'_, '_>,
-    source: &Source,
+    source: &Source<'_>,
     folder: &mut Folder<'_>,
-    depth: Depth,
+    depth: usize,
 ) -> Result<Element, String> {
-    if depth.elements > DEEPEST_ELEMENT {
+    if depth > DEEPEST_ELEMENT {
         return Err(too_deep());
     }
     folder.count_element()?;
@@ -82,11 +77,10 @@ fn read(
         children: Vec::new(),
     };
     check_plain(node, &element)?;
-    let inside = Depth { elements: depth.elements + 1, ..depth };
     for child in node.children().filter(Node::is_element) {
-        let child_element = read(child, source, folder, inside)?;
+        let child_element = read(child, source, folder, depth + 1)?;
         if child_element.tag == "include" {
-            element.children.extend(included(&child_element, folder, inside)?);
+            element.children.extend(included(&child_element, source, folder, depth)?);
         } else {
             element.children.push(child_element);
         }
@@ -133,21 +127,24 @@ fn too_deep() -> String {
     format!("elements are nested more than {DEEPEST_ELEMENT} deep")
 }
 
-/// Children of the root of an included file.
+/// Children of the root of a file that an element of `source` includes, in the place of this root.
 fn included(
     include: &Element,
+    source: &Source<'_>,
     folder: &mut Folder<'_>,
-    depth: Depth,
+    depth: usize,
 ) -> Result<Vec<Element>, String> {
     include.only(&[&["file"]])?;
     let name = include.text("file").ok_or_else(|| include.refuse("it has no `file`; add one"))?;
-    if depth.includes == DEEPEST_INCLUDE {
+    let files = || std::iter::successors(Some(source), |file| file.outer);
+    if files().count() > DEEPEST_INCLUDE {
         return Err(include.refuse(format!("files are included more than {DEEPEST_INCLUDE} deep")));
     }
     let (path, text) = folder.read_document(name).map_err(|error| include.refuse(error))?;
+    if files().any(|file| file.file.as_deref().unwrap_or(&folder.path) == path) {
+        return Err(include.refuse(format!("{path} includes itself; remove one <include>")));
+    }
     let document = parsed(&text).map_err(|error| include.refuse(error))?;
-    // The children of the root take the place of the include.
-    let outside = Depth { elements: depth.elements - 1, includes: depth.includes + 1 };
-    let source = Source::of(&text, Some(Rc::from(path)));
-    Ok(read(document.root_element(), &source, folder, outside)?.children)
+    let source = Source::of(&text, Some(Rc::from(path)), Some(source));
+    Ok(read(document.root_element(), &source, folder, depth)?.children)
 }

@@ -108,7 +108,7 @@ fn pair(
     })
 }
 
-/// A contact of two shapes with the numbers that the pair states.
+/// A contact of two shapes with the numbers that the pair states. Their margins do not count, as in MuJoCo.
 fn stated(
     element: &Element,
     contact: ContactPlan,
@@ -120,7 +120,7 @@ fn stated(
     Softness::check(solref).map_err(|reason| element.refuse(reason))?;
     let dimensions = element.integer("condim", contact.dimensions as i64)?;
     let friction = element.padded("friction", contact.friction)?;
-    let margin = element.number("margin", f64::from(contact.margin))?;
+    let margin = element.number("margin", 0.0)?;
     if ![1, 3, 4, 6].contains(&dimensions) {
         return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
     }

@@ -175,6 +175,10 @@ fn connection(
     links: &Links<'_>,
 ) -> Result<ConnectionPlan, String> {
     let is_weld = element.tag == "weld";
+    if element.text("site1").or(element.text("site2")).is_some() {
+        let reason = "sites are not supported here; name bodies by `body1` and `body2`, and a point by `anchor`";
+        return Err(element.refuse(reason));
+    }
     element.only(&[&CONNECTION, if is_weld { &WELD } else { &[] }])?;
     let body = |attribute: &str| {
         let known = bodies.iter().map(|body| body.name.as_str());

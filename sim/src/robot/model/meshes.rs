@@ -186,7 +186,8 @@ impl Asset {
         let (faces, rest) = numbers.as_chunks::<3>();
         let whole = numbers.iter().all(|number| *number >= 0.0 && number.fract() == 0.0);
         if !rest.is_empty() || !whole {
-            return Err(self.element.refuse("faces have three indices"));
+            let reason = "`face` must have three whole numbers for each triangle, which count vertices from 0";
+            return Err(self.element.refuse_for("face", reason));
         }
         Ok(faces.iter().map(|face| face.map(|index| index as usize)).collect())
     }

@@ -41,8 +41,10 @@ pub(crate) struct DisturbanceRow {
     #[serde(deserialize_with = "arrays::given")]
     pub(super) observation_delay: Option<[u32; 2]>,
     /// Error of each measurement, drawn in every step.
+    #[serde(deserialize_with = "arrays::table")]
     pub(super) sensor_noise: SensorRow,
     /// Error of each measurement, drawn per episode.
+    #[serde(deserialize_with = "arrays::table")]
     pub(super) sensor_bias: SensorRow,
     /// Whether the evaluations of a training are disturbed, too.
     pub(crate) in_evaluations: bool,

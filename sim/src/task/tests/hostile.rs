@@ -259,6 +259,27 @@ fn an_edge_of_a_single_joint_is_refused() {
     assert!(reason.contains("neighbourhood.edges: an edge needs at least two joints"), "{reason}");
 }
 
+#[test]
+fn an_array_in_the_place_of_a_table_is_refused() {
+    for table in ["sensor_noise", "sensor_bias"] {
+        let reason = refusal(&format!("{HOPPER}\n[disturbance]\n{table} = []\n"));
+        let expected = format!("`{table}`: invalid type: sequence, expected a table");
+        assert!(reason.contains(&expected), "{reason}");
+    }
+    let reason = refusal(&changed("[state]\nhidden = [\"rootx\"]", "").replacen(
+        "robot",
+        "state = []\nrobot",
+        1,
+    ));
+    assert!(reason.contains("`state`: invalid type: sequence, expected a table"), "{reason}");
+}
+
+#[test]
+fn a_model_without_a_name_is_refused() {
+    let reason = refusal(&changed("model = \"hopper.xml\"", "model = \"\""));
+    assert!(reason.contains("model is empty; name an MJCF file"), "{reason}");
+}
+
 /// After a fault, what is observed is what an environment observes that continues from the encoded state.
 #[test]
 fn after_a_fault_everything_seen_is_that_of_the_state_which_is_encoded() {

@@ -145,6 +145,30 @@ fn a_start_that_cannot_be_meant_is_named() {
     assert!(ghost[0].contains("has no floor that it can touch"), "{ghost:?}");
 }
 
+/// The shank ends 0.06 m above the floor, and what is added 0.08 m above it.
+#[test]
+fn a_start_inside_a_fixed_shape_or_another_robot_is_named() {
+    let shapes = [
+        (
+            "<geom name=\"step\" type=\"box\" size=\"1 1 0.08\" conaffinity=\"1\"/>",
+            "`shank` by 0.020 m in `step`",
+        ),
+        (
+            "<geom type=\"hfield\" hfield=\"h\" pos=\"0 0 0.08\" conaffinity=\"1\"/>",
+            "`shank` by 0.020 m in `a fixed shape`",
+        ),
+        (
+            "<body name=\"block\" pos=\"0 0 0.04\"><freejoint/><geom type=\"box\" size=\"0.1 0.1 0.04\" conaffinity=\"1\"/></body>",
+            "`block` by 0.020 m in `shank`",
+        ),
+    ];
+    for (shape, expected) in shapes {
+        let asset = "<asset><hfield name=\"h\" nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\"/></asset>";
+        let found = warnings(["</worldbody>", &format!("{shape}</worldbody>{asset}")], "");
+        assert!(found.len() == 1 && found[0].contains(expected), "{found:?}");
+    }
+}
+
 #[test]
 fn an_episode_starts_at_the_stated_coordinates() {
     let file = changed(

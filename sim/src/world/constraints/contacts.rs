@@ -1,18 +1,16 @@
-//! Contacts as constraints: MuJoCo's friction pyramids and cones.
+//! Contacts as constraints: which shapes touch.
 
 use rapier3d::geometry::Collider;
-use rapier3d::glamx::DVec3;
 use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::{ColliderHandle, PhysicsWorld};
 
-use super::matrix::dot;
+use super::contact::Contact;
 use super::motion::{LinkMotion, Motion};
 use super::near::{Bounds, Near};
 use super::points::{Manifolds, frame, is_repeated, touch, touch_field};
-use super::problem::{ConstraintProblem, Kind};
+use super::problem::ConstraintProblem;
 use crate::robot::{
-    Blueprint, Cone, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of,
-    wide,
+    Blueprint, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of, wide,
 };
 use crate::scene::Shape;
 
@@ -71,21 +69,6 @@ enum TouchForm {
     /// The height field with this index among the fixed shapes.
     Field(usize),
     Other,
-}
-
-/// A contact of two shapes in the world.
-struct Contact<'a> {
-    plan: ContactPlan,
-    /// Links of the shapes.
-    links: [Option<&'a LinkMotion>; 2],
-    /// Sum of the inverse masses and inertias of both bodies.
-    inverse: [f64; 2],
-    /// Middle between the surfaces, m.
-    point: DVec3,
-    /// Normal, from the first shape to the second, and two tangents.
-    axes: [DVec3; 3],
-    /// Distance less the margin, m.
-    position: f64,
 }
 
 impl Touching {
@@ -230,6 +213,62 @@ impl Touching {
         (self.near, self.pairs) = (near, pairs);
     }
 
+    /// Depths, m, in which shapes are in each other that are near and can touch; negative for a distance. The shapes are
+    /// counted as by [`shape_of`], of a link and a fixed shape the fixed one first.
+    pub(super) fn depths(
+        &mut self,
+        blueprint: &Blueprint,
+        physics: &PhysicsWorld,
+        start: &Motion,
+    ) -> Vec<([usize; 2], f32)> {
+        self.find_pairs(physics, start);
+        let pairs = std::mem::take(&mut self.pairs);
+        let depth = |pair: [usize; 2]| {
+            self.touch_pair(blueprint, (pair, physics), start)?;
+            let points = self.manifolds.iter().flat_map(|manifold| &manifold.points);
+            Some((pair, points.map(|point| -point.dist).reduce(f32::max)?))
+        };
+        pairs.into_iter().filter_map(depth).collect()
+    }
+
+    /// Finds the points in which the shapes of a pair touch. Returns their contact and the poses of their colliders; `None`
+    /// if one of them touches nothing.
+    fn touch_pair(
+        &mut self,
+        blueprint: &Blueprint,
+        (pair, physics): ([usize; 2], &PhysicsWorld),
+        start: &Motion,
+    ) -> Option<(ContactPlan, [Pose; 2])> {
+        let shapes = pair.map(|shape| &self.shapes[shape]);
+        let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return None };
+        let colliders = self.colliders(pair, physics)?;
+        let plan = match self.pair(pair) {
+            Some(pair) => pair.contact,
+            None => one.contact(&other, &self.rules.stated, blueprint.timestep_secs),
+        };
+        let plan = plan.with_friction(self.friction);
+        let poses = [0, 1].map(|k| pose_at_start(colliders[k], shapes[k].link(start)));
+        self.manifolds.clear();
+        let between = poses[0].inv_mul(&poses[1]);
+        match shapes[0].form {
+            TouchForm::Field(index) => {
+                let ground = &blueprint.grounds[index].form;
+                touch_field((ground, colliders[1]), &between, plan.margin, &mut self.manifolds);
+            }
+            _ => touch(colliders, &between, plan.margin, &mut self.manifolds),
+        }
+        Some((plan, poses))
+    }
+
+    fn colliders<'a>(
+        &self,
+        pair: [usize; 2],
+        physics: &'a PhysicsWorld,
+    ) -> Option<[&'a Collider; 2]> {
+        let [first, second] = pair.map(|shape| self.shapes[shape].collider);
+        Some([&physics.colliders[first?], &physics.colliders[second?]])
+    }
+
     fn add_pair(
         &mut self,
         blueprint: &Blueprint,
@@ -237,29 +276,16 @@ impl Touching {
         start: &Motion,
         problem: &mut ConstraintProblem,
     ) {
-        let shapes = pair.map(|shape| &self.shapes[shape]);
-        let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return };
-        let [Some(first), Some(second)] = shapes.map(|shape| shape.collider) else { return };
-        let colliders = [first, second].map(|handle| &physics.colliders[handle]);
-        let plan = match self.pair(pair) {
-            Some(pair) => pair.contact,
-            None => one.contact(&other, &self.rules.stated, blueprint.timestep_secs),
+        let touched = self.touch_pair(blueprint, (pair, physics), start);
+        let (Some((plan, poses)), Some(colliders)) = (touched, self.colliders(pair, physics))
+        else {
+            return;
         };
-        let plan = plan.with_friction(self.friction);
+        let shapes = pair.map(|shape| &self.shapes[shape]);
         let links = shapes.map(|shape| shape.link(start));
         let inverse = [0, 1].map(|k| shapes[0].inverse[k] + shapes[1].inverse[k]);
-        let poses = [0, 1].map(|k| pose_at_start(colliders[k], links[k]));
         let along = direction(shapes.map(|shape| shape.form), colliders, poses);
-        let mut manifolds = std::mem::take(&mut self.manifolds);
-        manifolds.clear();
-        let between = poses[0].inv_mul(&poses[1]);
-        match shapes[0].form {
-            TouchForm::Field(index) => {
-                let ground = &blueprint.grounds[index].form;
-                touch_field((ground, colliders[1]), &between, plan.margin, &mut manifolds);
-            }
-            _ => touch(colliders, &between, plan.margin, &mut manifolds),
-        }
+        let manifolds = std::mem::take(&mut self.manifolds);
         for manifold in &manifolds {
             let normal = poses[0].rotation * manifold.local_n1;
             for (index, point) in manifold.points.iter().enumerate() {
@@ -293,74 +319,6 @@ impl TouchShape {
             TouchKind::Base | TouchKind::Ground => None,
         }
     }
-}
-
-impl Contact<'_> {
-    /// Adds the contact. Returns its first row and the number of rows whose forces add up to the normal force.
-    fn add(
-        &self,
-        blueprint: &Blueprint,
-        start: &Motion,
-        problem: &mut ConstraintProblem,
-    ) -> (usize, usize) {
-        let softness = &self.plan.softness;
-        let compliance = f64::from(softness.compliance(-self.position as f32)) * self.inverse[0];
-        let frictions = self.plan.dimensions - 1;
-        let mu = self.plan.friction[0];
-        let impratio = blueprint.contacts.impratio;
-        if frictions == 0 {
-            self.fill(problem.add_row(), start, &[(0, 1.0)]);
-            let aim = softness.reference_acceleration(Some(self.position), speed(problem, start));
-            problem.set_row(aim, compliance);
-            return (problem.close(Kind::Push), 1);
-        }
-        if blueprint.contacts.cone == Cone::Elliptic {
-            for direction in 0..=frictions {
-                self.fill(problem.add_row(), start, &[(direction, 1.0)]);
-                let (position, ratio) = match direction {
-                    0 => (Some(self.position), 1.0),
-                    k => (None, mu / self.plan.friction[k - 1]),
-                };
-                let aim = softness.reference_acceleration(position, speed(problem, start));
-                let share = if direction == 0 { 1.0 } else { ratio * ratio / impratio };
-                problem.set_scaled_row(aim, compliance, share);
-            }
-            let friction = self.plan.friction;
-            return (problem.close(Kind::Cone { mu: mu / impratio.sqrt(), friction }), 1);
-        }
-        // All edges of a pyramid have the compliance of the first.
-        let compliance = compliance * (1.0 + mu * mu);
-        let mut first = 0;
-        for direction in 1..=frictions {
-            for sign in [1.0, -1.0] {
-                let friction = sign * self.plan.friction[direction - 1];
-                self.fill(problem.add_row(), start, &[(0, 1.0), (direction, friction)]);
-                let aim =
-                    softness.reference_acceleration(Some(self.position), speed(problem, start));
-                problem.set_scaled_row(aim, compliance, 2.0 * mu * mu / impratio);
-                first = problem.close(Kind::Push);
-            }
-        }
-        (first + 1 - 2 * frictions, 2 * frictions)
-    }
-
-    /// Writes the Jacobian of a sum of directions, each with its factor: 0 for the normal, 1 and 2 for the tangents, and
-    /// 3 to 5 for rotations about these three.
-    fn fill(&self, row: &mut [f64], start: &Motion, directions: &[(usize, f64)]) {
-        for (link, sign) in self.links.iter().zip([-1.0, 1.0]) {
-            let Some(link) = link else { continue };
-            for (direction, factor) in directions {
-                let mut wrench = [DVec3::ZERO; 2];
-                wrench[direction / 3] = self.axes[direction % 3];
-                start.add_levers(row, (link, self.point), wrench, sign * factor);
-            }
-        }
-    }
-}
-
-/// Speed along the row that was added last.
-fn speed(problem: &ConstraintProblem, start: &Motion) -> f64 {
-    dot(problem.last_row(), &start.speeds)
 }
 
 fn pose_at_start(collider: &Collider, link: Option<&LinkMotion>) -> Pose {

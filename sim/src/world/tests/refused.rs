@@ -113,7 +113,10 @@ fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
             let include = format!("<include file=\"level{}\"/>", level + 1).repeat(count);
             Ok(format!("<mujoco>{include}</mujoco>").into_bytes())
         }
-        None => Ok(format!("<mujoco>\n<include file=\"{path}\"/></mujoco>").into_bytes()),
+        None => {
+            let next = if path == "self.xml" { path } else { &format!("{path}a") };
+            Ok(format!("<mujoco>\n<include file=\"{next}\"/></mujoco>").into_bytes())
+        }
     };
     let entities: String = (1..9)
         .map(|level| format!("<!ENTITY e{level} \"{}\">", format!("&e{};", level - 1).repeat(10)))
@@ -124,7 +127,11 @@ fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
         (bomb, "valid XML without a DTD"),
         (
             include("self.xml"),
-            "self.xml line 2, <include file=\"self.xml\">: files are included more than 8 deep",
+            "self.xml line 2, <include file=\"self.xml\">: self.xml includes itself; remove one",
+        ),
+        (
+            include("a"),
+            "aaaaaaaa line 2, <include file=\"aaaaaaaaa\">: files are included more than 8",
         ),
         (include("level0"), "the model names more than 1000 files"),
         (include("../robot.xml"), "`../robot.xml` leaves the model's folder"),
@@ -283,6 +290,10 @@ fn refused_sections_are_named_with_their_lines() {
                  <equality><weld body1=\"mc\" body2=\"world\"/></equality>",
             ),
             "<weld>: `mc` is a mocap body, which is skipped; remove the connection",
+        ),
+        (
+            section("\n<equality><connect site1=\"a\" site2=\"b\"/></equality>"),
+            "line 6, <connect>: sites are not supported here; name bodies by `body1` and `body2`",
         ),
         (
             section("\n<contact><pair geom1=\"a\"/></contact>"),
