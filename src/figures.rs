@@ -18,7 +18,7 @@ use kuva::render::render::{Scene, render_multiple};
 
 use crate::figures::learning_curve::{Curve, Panel, Point, Quantity, Series, panels};
 use crate::figures::statistics::Interval;
-use crate::figures::style::{MARK, STROKE, colour, marker};
+use crate::figures::style::{MARK, STROKE, colour, line_style, marker};
 use crate::process::target;
 
 /// Panels in a row of a picture with many tasks.
@@ -222,7 +222,7 @@ fn band(series: &Series, opacity: f64, of: fn(&Point) -> Interval) -> Plot {
 fn line(series: &Series) -> Plot {
     let points = series.points.iter().map(|point| (point.env_steps, point.centre));
     let line = LinePlot::new().with_data(points).with_color(colour(series.rank));
-    Plot::Line(line.with_stroke_width(STROKE))
+    Plot::Line(line.with_stroke_width(STROKE).with_line_style(line_style(series.rank)))
 }
 
 /// Marks on the curve. Curves begin theirs at different points.
@@ -292,6 +292,15 @@ mod tests {
         let (few, many) = (of(MOST_WITH_RANGES).svg, of(MOST_WITH_RANGES + 1).svg);
         assert!(few.contains("interquartile range") && !many.contains("interquartile range"));
         assert!(many.contains("95 % confidence interval"));
+    }
+
+    #[test]
+    fn a_curve_whose_colour_another_has_is_dashed_as_its_entry_in_the_legend() {
+        let series = [0, 8].map(|rank| rising(&rank.to_string(), rank, 1)).into();
+        let panel = Panel { task: "a task".into(), quantity: Quantity::Return, series };
+        let svg = draw(&[panel], 1).unwrap().svg;
+        assert_eq!(colour(0), colour(8));
+        assert_eq!(svg.matches(r#"stroke-dasharray="6 3""#).count(), 2);
     }
 
     #[test]

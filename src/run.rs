@@ -122,6 +122,7 @@ pub(crate) fn prepare_config(
     };
     // The learner claims the folder later, after the actors have started.
     RunFolder::demand_free(&folder)?;
+    RunFolder::demand_writable(&folder)?;
     config.resolved.set(keys::FILLED_IN, offered.description.as_str(), keys::URL);
     config.resolved.set("run.dir", folder.display().to_string(), "run folder");
     let mut launch = launch(&config, offered, &folder, fingerprint);

@@ -1,5 +1,6 @@
-//! The looks of a series, which its rank determines: colour and marks; and the legend that shows them.
+//! The looks of a series, which its rank determines: colour, dashes and marks; and the legend that shows them.
 
+use kuva::plot::LineStyle;
 use kuva::plot::scatter::MarkerShape;
 use kuva::render::color::Color;
 use kuva::render::render::{PathData, Primitive, Scene, TextAnchor};
@@ -44,7 +45,15 @@ pub(super) fn colour(rank: usize) -> String {
     hex(COLOURS[rank % COLOURS.len()])
 }
 
-/// Mark of a rank. Past the colours each colour comes again, with another mark.
+/// Dashes of a rank. Past the colours each colour comes again, with dashes, which are longer in every further round.
+pub(super) fn line_style(rank: usize) -> LineStyle {
+    match rank / COLOURS.len() {
+        0 => LineStyle::Solid,
+        round => LineStyle::Custom(format!("{} 3", 6 * round)),
+    }
+}
+
+/// Mark of a rank. A colour that comes again has another mark.
 pub(super) fn marker(rank: usize) -> MarkerShape {
     MARKERS[(rank + 3 * (rank / COLOURS.len())) % MARKERS.len()]
 }
@@ -86,7 +95,7 @@ fn entry(scene: &mut Scene, series: &Series, (x, y): (f64, f64)) {
         points: vec![(x, y), (x + PIECE, y)],
         stroke: colour.as_str().into(),
         stroke_width: STROKE,
-        stroke_dasharray: None,
+        stroke_dasharray: line_style(series.rank).dasharray(),
     });
     mark(scene, marker(series.rank), &colour.as_str().into(), (x + PIECE / 2.0, y));
     scene.add(Primitive::Text {
@@ -177,10 +186,16 @@ mod tests {
     }
 
     #[test]
-    fn sixty_four_ranks_look_different() {
-        let looks = |rank: usize| (colour(rank), marker(rank));
+    fn every_rank_has_its_own_colour_and_dashes_and_the_first_sixty_four_their_own_colour_and_mark()
+    {
+        let dashed = |rank: usize| (colour(rank), line_style(rank).dasharray());
+        let marked = |rank: usize| (colour(rank), marker(rank));
         for rank in 0..64 {
-            assert!((0..rank).all(|other| looks(other) != looks(rank)), "{rank}");
+            let mut others = 0..rank;
+            assert!(
+                others.all(|o| dashed(o) != dashed(rank) && marked(o) != marked(rank)),
+                "{rank}"
+            );
         }
     }
 }

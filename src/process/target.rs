@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::store::plain_file;
+use learner::store::{durable, plain_file};
 
 use crate::errors::Usage;
 
@@ -182,7 +182,7 @@ pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 
 /// Creates a folder and its parents if necessary.
 pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))
+    Ok(durable::make_folder(path)?)
 }
 
 /// Creates the folder that `option` names, if necessary. Refuses it if the folder around it does not exist, which is

@@ -100,8 +100,17 @@ pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
 pub fn make_folder(folder: &Path) -> Result<(), FileError> {
     let is_new = |one: &&Path| !one.as_os_str().is_empty() && !one.is_dir();
     let new = folder.ancestors().take_while(is_new).collect::<Vec<_>>();
-    std::fs::create_dir_all(folder).map_err(FileError::of("make", folder))?;
+    let made = std::fs::create_dir_all(folder);
+    made.map_err(|why| FileError::of("make", folder)(broken_link(folder).unwrap_or(why)))?;
     new.into_iter().rev().try_for_each(sync_name)
+}
+
+/// The reason why `path` cannot be made, if a part of it is a link to nothing.
+pub(crate) fn broken_link(path: &Path) -> Option<io::Error> {
+    let link = path.ancestors().find(|part| part.is_symlink() && !exists(part))?;
+    let (link, target) = (link.display(), link.read_link().ok()?);
+    let why = format!("{link} is a link to {}, which does not exist", target.display());
+    Some(io::Error::new(io::ErrorKind::NotFound, why))
 }
 
 /// Waits until the disk has the name of a file or folder.

@@ -5,7 +5,7 @@ mod place;
 mod token;
 
 use std::fs::{File, TryLockError};
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -196,6 +196,19 @@ impl RunFolder {
             return Err(RunFolderError::in_use(path));
         }
         Ok(())
+    }
+
+    /// Refuses the folder of a run that this user cannot write. Claims nothing, as [`Self::demand_free`].
+    ///
+    /// # Errors
+    /// Names the folder and the reason.
+    pub fn demand_writable(path: &Path) -> Result<(), FileError> {
+        let lock = path.join(LOCK);
+        let opened = plain_file::open(File::options().append(true), &lock);
+        match opened.map_err(FileError::of("write", path)) {
+            Err(error) if error.source.kind() != ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
     }
 
     fn is_locked(path: &Path) -> Result<bool, RunFolderError> {

@@ -81,7 +81,9 @@ impl Hasac {
         surprise: Option<&Surprise>,
         sums: &mut Sums,
     ) -> Result<(), MarlError> {
-        let sample = self.experience.sample((iteration, step), surprise)?;
+        let mut sample = self.experience.sample((iteration, step), surprise)?;
+        self.critics.scale(&mut sample.now.state);
+        self.critics.scale(&mut sample.next.state);
         let draw = Draw::of(Purpose::UpdateAction).iteration(iteration).step(step);
         let noise = |agent: usize| generator(self.seed, draw.agent(agent as u32));
         let mut noise: Vec<_> = (0..self.agents.len()).map(noise).collect();

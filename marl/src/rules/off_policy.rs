@@ -24,6 +24,8 @@ pub(crate) struct ReplayedExperience {
     chunk_steps: usize,
     seed: RunSeed,
     replay: Replay,
+    /// Sum over the optimiser steps since the last [`Self::add`] of [`Sample::bonus`], `[N]`; empty without surprise.
+    bonus: Vec<f64>,
 }
 
 impl ReplayedExperience {
@@ -41,6 +43,7 @@ impl ReplayedExperience {
             chunk_steps: policy.backpropagation_steps,
             settings,
             seed,
+            bonus: Vec::new(),
         }
     }
 
@@ -65,6 +68,7 @@ impl ReplayedExperience {
         check_rewards(&rewards.rewards, agents, batch.rows())?;
         let before = self.replay.rows_added();
         self.replay.add(batch)?;
+        self.bonus.clear();
         Ok(self.due(self.replay.rows_added()) - self.due(before))
     }
 
@@ -73,14 +77,17 @@ impl ReplayedExperience {
     /// # Errors
     /// If a tensor operation of a density fails.
     pub(crate) fn sample(
-        &self,
+        &mut self,
         (iteration, step): (u64, u32),
         surprise: Option<&Surprise>,
     ) -> Result<Sample, MarlError> {
         let draw = Draw::of(Purpose::Replay).iteration(iteration).step(step);
         let mut rng = generator(self.seed, draw);
         let surprise = surprise.map(|surprise| (surprise, step));
-        self.replay.sample(self.settings.batch, self.horizon, surprise, &mut rng)
+        let sample = self.replay.sample(self.settings.batch, self.horizon, surprise, &mut rng)?;
+        self.bonus.resize(sample.bonus.len(), 0.0);
+        self.bonus.iter_mut().zip(&sample.bonus).for_each(|(sum, bonus)| *sum += bonus);
+        Ok(sample)
     }
 
     /// The policies for acting: uniform during the warm-up.
@@ -95,12 +102,16 @@ impl ReplayedExperience {
         }
     }
 
-    /// Size of the replay, and the `updates` of the iteration.
+    /// Size of the replay, the `updates` of the iteration, and the mean surprise bonus of the steps that they drew, per agent.
     pub(crate) fn report(&self, updates: u64) -> Report {
-        vec![
+        let mut report = vec![
             ("replay/transitions".to_owned(), self.replay.len() as f64),
             ("replay/updates".to_owned(), updates as f64),
-        ]
+        ];
+        for (agent, sum) in self.bonus.iter().enumerate() {
+            report.push((format!("agent{agent}/surprise_replay_mean"), sum / updates as f64));
+        }
+        report
     }
 
     /// Visits `replay/*`.

@@ -339,3 +339,22 @@ fn hasac_keeps_finite_weights_with_huge_numbers_and_counts_skipped_steps() {
         assert!(numbers(&algorithm.arrays().unwrap(), "").iter().all(|x| x.is_finite()));
     }
 }
+
+#[test]
+fn rules_with_a_replay_report_the_mean_surprise_of_what_they_drew_if_rewards_contain_it() {
+    for rule in [MADDPG, HASAC] {
+        let mut config = config(rule);
+        let batch = batch_for(&config);
+        config.surprise.alpha = 0.5;
+        let mut surprise = Surprise::new(&config.surprise, &sample::problem(), RunSeed(0)).unwrap();
+        surprise.refit(&batch, 0).unwrap();
+        let rewards = surprise.relabel(&batch);
+        let pairs = rewards.rewards[1].iter().zip(&batch.reward);
+        let bonuses: Vec<f64> = pairs.map(|(own, team)| f64::from(own - team)).collect();
+        let report = algorithm(&config).update(&batch, &rewards, 0).unwrap();
+        let mean = named(&report, "agent1/surprise_replay_mean");
+        assert!(bonuses.iter().any(|x| *x < mean) && bonuses.iter().any(|x| *x > mean), "{mean}");
+        let report = algorithm(&config).update(&batch, &plain(&batch), 0).unwrap();
+        assert!(report.iter().all(|(name, _)| !name.contains("surprise")), "{report:?}");
+    }
+}

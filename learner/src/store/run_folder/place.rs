@@ -168,10 +168,13 @@ fn is_actors_logs(folder: &Path, name: &OsStr) -> bool {
     name == LOGS && entries(&folder.join(LOGS)).is_ok_and(|names| names.iter().all(|n| is_log(n)))
 }
 
-/// Names in a folder, sorted; none if it does not exist.
+/// Names in a folder, sorted; none if it does not exist, unless its path is that of a broken link.
 fn entries(folder: &Path) -> Result<Vec<std::ffi::OsString>, FileError> {
     let listed = match std::fs::read_dir(folder) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let broken = durable::broken_link(folder).map(FileError::of("read", folder));
+            return broken.map_or(Ok(Vec::new()), Err);
+        }
         listed => listed.map_err(FileError::of("read", folder))?,
     };
     let name = |entry: io::Result<std::fs::DirEntry>| entry.map(|entry| entry.file_name());

@@ -170,6 +170,37 @@ fn folders_of_other_programs_contain_no_run() {
 }
 
 #[test]
+fn a_folder_whose_lock_cannot_be_opened_for_writing_is_refused_and_one_without_a_lock_is_left_as_it_is()
+ {
+    let folder = tempdir().unwrap();
+    let path = folder.path();
+    RunFolder::demand_writable(path).unwrap();
+    assert_eq!(path.read_dir().unwrap().count(), 0);
+    drop(begun(path));
+    RunFolder::demand_writable(path).unwrap();
+    fs::remove_file(path.join(LOCK)).unwrap();
+    fs::create_dir(path.join(LOCK)).unwrap();
+    let line = RunFolder::demand_writable(path).unwrap_err().to_string();
+    let expected = format!("cannot write {}: it is a directory", path.display());
+    assert!(line.starts_with(&expected), "{line}");
+}
+
+#[test]
+fn a_link_to_nothing_is_named_as_the_reason_why_no_run_starts_there_or_below() {
+    let folder = tempdir().unwrap();
+    let link = folder.path().join("link");
+    symlink("nowhere", &link).unwrap();
+    let why = format!("{} is a link to nowhere, which does not exist", link.display());
+    for path in [link.clone(), link.join("a/b")] {
+        let shown = path.display();
+        let line = RunFolder::file_of_others(&path).unwrap_err().to_string();
+        assert_eq!(line, format!("cannot read {shown}: {why}"));
+        let line = RunFolder::claim_new(&path).unwrap_err().to_string();
+        assert_eq!(line, format!("cannot make {shown}: {why}"));
+    }
+}
+
+#[test]
 fn only_what_a_start_of_a_run_left_is_not_a_file_of_others() {
     let folder = tempdir().unwrap();
     let path = folder.path();

@@ -56,13 +56,16 @@ impl TwinCritics {
         self.networks[0].inputs()
     }
 
+    /// Scales states `[R, S]` for [`Self::joint_input`].
+    pub(super) fn scale(&self, state: &mut [f32]) {
+        self.states.apply(state, self.features);
+    }
+
     /// Scaled states `[R, S]` joined with all agents' actions `[N][R, act]`: `[R, S + A]`.
     pub(super) fn joint_input(&self, state: &[f32], actions: &[&[f32]]) -> Vec<f32> {
-        let mut scaled = state.to_vec();
-        self.states.apply(&mut scaled, self.features);
         let rows = state.len() / self.features;
         let mut input = Vec::new();
-        for (row, state) in scaled.chunks_exact(self.features).enumerate() {
+        for (row, state) in state.chunks_exact(self.features).enumerate() {
             input.extend_from_slice(state);
             for action in actions {
                 let width = action.len() / rows;

@@ -86,6 +86,8 @@ pub(crate) struct Sample {
     pub(crate) discount: Vec<f64>,
     /// State and observations that the value is bootstrapped from.
     pub(crate) next: NetworkInputs,
+    /// Mean surprise bonus in the rewards of all steps drawn, `[N]`; empty without surprise.
+    pub(crate) bonus: Vec<f64>,
 }
 
 impl Columns {
@@ -269,18 +271,18 @@ impl Replay {
             sample.discount.push(target.discount);
             targets.push(target.rows);
         }
-        sample.reward = self.discounted(&targets, horizon.gamma, surprise)?;
+        (sample.reward, sample.bonus) = self.discounted(&targets, horizon.gamma, surprise)?;
         Ok(sample)
     }
 
     /// `sum_k gamma^k r_k` of the rows of each target, per agent `[N][R]`. With surprise, each reward is the agent's with
-    /// the surprise of its own observation, otherwise the team's.
+    /// the surprise of its own observation, otherwise the team's. Also [`Sample::bonus`].
     fn discounted(
         &self,
         targets: &[Vec<&[f32]>],
         gamma: f64,
         surprise: Option<(&Surprise, u32)>,
-    ) -> Result<Vec<Vec<f64>>, MarlError> {
+    ) -> Result<(Vec<Vec<f64>>, Vec<f64>), MarlError> {
         let mut seen = NetworkInputs::default();
         let mut team = Vec::new();
         for row in targets.iter().flatten() {
@@ -291,8 +293,14 @@ impl Replay {
         }
         let agents = match surprise {
             Some((surprise, step)) => surprise.rewards(&team, &seen.observation, step)?,
-            None => vec![team; self.columns.observations.len()],
+            None => vec![team.clone(); self.columns.observations.len()],
         };
+        let bonus = |rewards: &Vec<f32>| {
+            let pairs = rewards.iter().zip(&team);
+            let sum: f64 = pairs.map(|(&own, &team)| f64::from(own) - f64::from(team)).sum();
+            sum / team.len() as f64
+        };
+        let bonuses = surprise.map(|_| agents.iter().map(bonus).collect());
         let of_agent = |rewards: &Vec<f32>| {
             let mut rewards = rewards.iter();
             let target = |rows: &Vec<&[f32]>| {
@@ -305,7 +313,7 @@ impl Replay {
             };
             targets.iter().map(target).collect()
         };
-        Ok(agents.iter().map(of_agent).collect())
+        Ok((agents.iter().map(of_agent).collect(), bonuses.unwrap_or_default()))
     }
 
     /// Visits `replay/*`: the ring buffer as stored, and the final states with their rows.

@@ -59,7 +59,7 @@ fn stretch(first: usize, steps: usize, ends: &[(usize, u8)]) -> Batch {
 fn ahead(replay: &Replay, row: u64) -> (f64, f64, f32) {
     let target = replay.n_step_target(row, HALF);
     let reward = replay.discounted(&[target.rows], HALF.gamma, None).unwrap();
-    (reward[0][0], target.discount, target.next[0])
+    (reward.0[0][0], target.discount, target.next[0])
 }
 
 #[test]
@@ -120,6 +120,22 @@ fn a_sampled_reward_contains_the_surprise_of_the_newest_density_alone() {
     // A step of the newest iteration has the reward with which rules without a replay learn from it.
     let relabelled = surprise.relabel(&second).rewards;
     assert_eq!(f64::from(relabelled[0][3]), one[&6]);
+}
+
+#[test]
+fn the_bonus_of_a_batch_is_the_mean_surprise_of_its_steps() {
+    let (mut replay, mut surprise) = (empty(100), surprise(2.0));
+    let batch = stretch(3, 4, &[]);
+    replay.add(&batch).unwrap();
+    surprise.refit(&batch, 0).unwrap();
+    let mut rng = generator(RunSeed(1), Draw::of(Purpose::Replay));
+    let horizon = NStepHorizon { steps: 1, ..HALF };
+    let sample = replay.sample(50, horizon, Some((&surprise, 0)), &mut rng).unwrap();
+    // The reward of a step is ten times its number.
+    let pairs = sample.reward[0].iter().zip(&sample.now.state);
+    let sum: f64 = pairs.map(|(reward, &number)| reward - 10.0 * f64::from(number)).sum();
+    assert!((sample.bonus[0] - sum / 50.0).abs() < 1e-9 && sum != 0.0, "{:?}", sample.bonus);
+    assert!(replay.sample(50, horizon, None, &mut rng).unwrap().bonus.is_empty());
 }
 
 #[test]
