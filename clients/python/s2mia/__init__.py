@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 from s2mia.error import RunError
 
 if TYPE_CHECKING:
-    from s2mia._native import VERSION as __version__
+    from s2mia._native import VERSION
     from s2mia.actor import act_for
     from s2mia.connection import Tls
     from s2mia.control import Client, Progress, Status
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from s2mia.tables import Runs, runs
     from s2mia.team import Team
     from s2mia.vector import vector_env
+
+    __version__ = VERSION
 
 __all__ = [
     "Client",
@@ -95,4 +97,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, "__version__"]

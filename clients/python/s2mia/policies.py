@@ -54,7 +54,7 @@ def load(
 def pretrained(task: str, seed: int | None = None) -> Policies:
     """The trained team that comes with the package for a task, as `load` returns one.
 
-    Raises `RunError` if there is none; its line names the nearest task.
+    Raises `RunError` if there is none; its line names the nearest task, or all that have a team.
     """
     return _made(lambda own: Native.pretrained(task, own), seed)
 

@@ -19,9 +19,15 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A run folder. The run may have ended, been stopped, or still be training."""
+    """A run folder. The run may have ended, been stopped, or still be training. Raises `RunError` for a folder of no run."""
 
     folder: pathlib.Path
+
+    def __post_init__(self) -> None:
+        # A path may be given as a string, too.
+        object.__setattr__(self, "folder", pathlib.Path(self.folder))
+        if not (self.folder / "config.toml").is_file():
+            raise RunError(f"{self.folder} is no run: it has no config.toml")
 
     @property
     def metrics(self) -> list[dict[str, Any]]:

@@ -37,7 +37,7 @@ class TaskSpec:
 
 
 class Simulator:
-    """Environments of one task. `native` steps them, with arrays as bytes."""
+    """Environments of one task. `native` steps them, with arrays as bytes. A copy, or what is unpickled, has had no episode."""
 
     def __init__(
         self,
@@ -50,12 +50,18 @@ class Simulator:
     ) -> None:
         # A setting has 63 bits.
         own = checked_seed(seed, 2**63 - 1)
+        if own is not None and settings.get("run__seed", own) != own:
+            raise ValueError(f"seed is {own} and run__seed is {settings['run__seed']}; give one of them")
         seeded = {} if own is None else {"run__seed": own}
+        self._arguments = (task, dict(settings), seed, disturbances, num_envs, threads)
         self.num_envs = num_envs
         self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
         about: dict[str, Any] = json.loads(self.native.task())
         agents = [AgentSpec(**agent_fields(own)) for own in about.pop("agents")]
         self.task = TaskSpec(agents=agents, **about)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._arguments
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
@@ -77,7 +83,7 @@ class Simulator:
 
 
 class OneEnvironment:
-    """One environment of the simulator."""
+    """One environment of the simulator. A copy of it, or what is unpickled, has had no episode."""
 
     metadata: dict[str, Any]
 
@@ -95,13 +101,18 @@ class OneEnvironment:
         if render_mode is not None:
             self.render()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.simulator, self.render_mode)
+
     def state(self) -> Numbers:
         """The global state `[S]`, whose features `task.state` names."""
         return np.frombuffer(self.simulator.native.states(), np.float32)
 
     def save(self) -> bytes:
-        """The state, as logs and checkpoints of runs have it. What follows equals what follows `restore`, bit for bit.
+        """The state, as logs and checkpoints of runs have it. What follows in the episode equals what follows `restore`.
 
+        This holds bit for bit in any environment of the task with the same settings, `disturbances` and
+        `environments__steps`; the next episodes are those of the environment's own seed.
         It differs from what follows without `save`, in the last bits: an environment that saves does not repeat a run.
         Raises `ValueError` before the first episode, or if the episode is over.
         """

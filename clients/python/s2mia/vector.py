@@ -44,7 +44,7 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
     Rewards are those of the teams, `[E]`. An environment whose episode has ended starts the next one in the next step, with the
     reward 0 (`AutoresetMode.NEXT_STEP`). `infos` of a robot's steps have `reward_terms` and `efforts` by name, `[E]` each, with
     masks `_reward_terms` and `_efforts` of the environments that did not start an episode, and `fault` `[E]` after a step that left
-    the bounds of the simulation.
+    the bounds of the simulation. A copy, or what is unpickled, has had no episode.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -62,6 +62,9 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         # Environments that the next step steps; the others start an episode.
         self._running = np.ones(self.num_envs, np.bool_)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.simulator,)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Numbers, dict[str, Any]]:
         """Starts the next episodes or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation, of

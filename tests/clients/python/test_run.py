@@ -29,6 +29,12 @@ def test_a_training_returns_its_folder_metrics_evaluations_and_policies(tmp_path
     assert (team.description.seed, team.description.iteration) == (5, 3)
 
 
+@pytest.mark.parametrize("kind", [str, pathlib.Path])
+def test_a_folder_without_a_run_is_refused(tmp_path, kind):
+    with pytest.raises(s2mia.RunError, match="nowhere is no run: it has no config.toml$"):
+        s2mia.Run(kind(tmp_path / "nowhere"))
+
+
 def test_without_a_folder_the_run_gets_one_of_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run = s2mia.train("cue-2x1", progress=True, **SHORT)

@@ -1,6 +1,8 @@
 """The simulator under PettingZoo's and Gymnasium's interfaces: it passes their tests, and bad input is refused in one line."""
 
+import copy
 import pathlib
+import pickle
 import struct
 import warnings
 
@@ -95,6 +97,24 @@ def test_a_restored_state_continues_with_the_same_bits():
         again, paid, *_ = other.step(action)
         assert rewards == paid and all(seen[name].tobytes() == again[name].tobytes() for name in seen)
     assert first.save() == other.save()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("made", [s2mia.parallel_env, s2mia.vector_env, s2mia.gym_env])
+def test_a_copy_is_an_environment_of_the_same_arguments_before_its_first_episode(made, copied):
+    env = made("walker2d-2x3", seed=5, observation__mode="k_nearest")
+    env.reset()
+    first = env.state()
+    env.reset()
+    other = copied(env)
+    assert type(other) is type(env)
+    other.reset()
+    assert np.array_equal(other.state(), first)
+
+
+def test_two_different_seeds_are_refused():
+    with pytest.raises(ValueError, match=r"^seed is 3 and run__seed is 4; give one of them$"):
+        s2mia.parallel_env("ant-4x2", seed=3, run__seed=4)
 
 
 def test_only_an_episode_that_has_begun_is_saved():
