@@ -17,6 +17,10 @@ except ModuleNotFoundError as missing:
     raise ModuleNotFoundError("s2mia.gym_env needs gymnasium: pip install 's2mia[environment]'") from missing
 
 
+# Settings of what an agent observes, which here is the global state.
+_WITHOUT_EFFECT = ("observation__mode", "observation__nearest", "observation__globals")
+
+
 def gym_env(
     task: str | os.PathLike[str],
     *,
@@ -30,6 +34,9 @@ def gym_env(
     Its observation is the global state, and its action that of all agents, in their order. `task` may also be the name of a
     robot, such as `"ant"`, whose partition does not matter here. The other arguments are those of `s2mia.parallel_env`.
     """
+    for key in _WITHOUT_EFFECT:
+        if key in settings:
+            raise ValueError(f"{key.replace('__', '.')} has no effect: the agent of gym_env observes the global state")
     name, names = os.fspath(task), _native.task_names()
     # Of each robot its first task.
     robots = {own.rpartition("-")[0]: own for own in reversed(names)}

@@ -102,7 +102,7 @@ def test_a_restored_state_continues_with_the_same_bits():
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("made", [s2mia.parallel_env, s2mia.vector_env, s2mia.gym_env])
 def test_a_copy_is_an_environment_of_the_same_arguments_before_its_first_episode(made, copied):
-    env = made("walker2d-2x3", seed=5, observation__mode="k_nearest")
+    env = made("walker2d-2x3", seed=5, reward__control=0.5)
     env.reset()
     first = env.state()
     env.reset()
@@ -110,6 +110,12 @@ def test_a_copy_is_an_environment_of_the_same_arguments_before_its_first_episode
     assert type(other) is type(env)
     other.reset()
     assert np.array_equal(other.state(), first)
+
+
+@pytest.mark.parametrize("key", ["mode", "nearest", "globals"])
+def test_the_single_agent_refuses_settings_of_what_agents_observe(key):
+    with pytest.raises(ValueError, match=f"^observation.{key} has no effect: the agent of gym_env observes the global state$"):
+        s2mia.gym_env("ant", **{f"observation__{key}": 1})
 
 
 def test_two_different_seeds_are_refused():
