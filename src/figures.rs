@@ -14,11 +14,11 @@ use kuva::plot::{BandPlot, LinePlot, ScatterPlot};
 use kuva::render::figure::Figure;
 use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::plots::Plot;
-use kuva::render::render::{Scene, render_multiple};
+use kuva::render::render::Scene;
 
 use crate::figures::learning_curve::{Curve, Panel, Point, Quantity, Series, panels};
 use crate::figures::statistics::Interval;
-use crate::figures::style::{MARK, STROKE, colour, line_style, marker};
+use crate::figures::style::{MARK, STROKE, colour, legend, line_style, marker};
 use crate::process::target;
 
 /// Panels in a row of a picture with many tasks.
@@ -45,7 +45,7 @@ const CELL_WIDTH: f64 = 340.0;
 
 const CELL_HEIGHT: f64 = 270.0;
 
-/// Marks on an axis of a panel among others, about.
+/// Marks on an axis, about.
 const TICKS: usize = 4;
 
 /// How visible the two bands are.
@@ -137,12 +137,7 @@ struct Picture {
 
 /// Panels row by row, `columns` of them in each, with one legend.
 fn draw(panels: &[Panel], columns: usize) -> anyhow::Result<Picture> {
-    let bands = Bands::of(panels);
-    let mut scene = match panels {
-        [only] => lone(only, bands),
-        _ => grid(panels, columns, bands),
-    };
-    style::add_legend(&mut scene, &distinct(panels));
+    let scene = grid(panels, columns);
     let png = PngBackend::new().with_scale(2.0).render_scene(&scene).map_err(anyhow::Error::msg)?;
     Ok(Picture { svg: SvgBackend::new().render_scene(&scene), png })
 }
@@ -156,26 +151,25 @@ fn distinct(panels: &[Panel]) -> Vec<&Series> {
     series
 }
 
-fn lone(panel: &Panel, bands: Bands) -> Scene {
-    let plots = plots(panel, bands);
-    let mut layout = layout(panel, &plots).with_width(WIDTH).with_height(HEIGHT);
-    if let Some(caption) = bands.caption() {
-        layout = layout.with_subtitle(caption);
-    }
-    render_multiple(plots, layout)
-}
-
-fn grid(panels: &[Panel], columns: usize, bands: Bands) -> Scene {
+fn grid(panels: &[Panel], columns: usize) -> Scene {
+    let bands = Bands::of(panels);
     let all: Vec<Vec<Plot>> = panels.iter().map(|panel| plots(panel, bands)).collect();
     let small = |(panel, plots): (&Panel, &Vec<Plot>)| {
         layout(panel, plots).with_ticks(TICKS).with_title_size(15)
     };
     let layouts = panels.iter().zip(&all).map(small).collect();
+    let (width, height) = match (panels.len(), columns) {
+        (1, _) => (WIDTH, HEIGHT),
+        (_, 1) => (WIDTH, CELL_HEIGHT),
+        _ => (CELL_WIDTH, CELL_HEIGHT),
+    };
     let mut figure = Figure::new(panels.len().div_ceil(columns), columns)
         .with_structure((0..panels.len()).map(|panel| vec![panel]).collect())
         .with_plots(all)
         .with_layouts(layouts)
-        .with_cell_size(if columns == 1 { WIDTH } else { CELL_WIDTH }, CELL_HEIGHT);
+        .with_cell_size(width, height)
+        .with_shared_legend_bottom()
+        .with_shared_legend_entries(legend(&distinct(panels)));
     if let Some(caption) = bands.caption() {
         figure = figure.with_title(caption).with_title_size(14);
     }
@@ -295,12 +289,12 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_whose_colour_another_has_is_dashed_as_its_entry_in_the_legend() {
+    fn a_curve_whose_colour_another_has_is_dashed() {
         let series = [0, 8].map(|rank| rising(&rank.to_string(), rank, 1)).into();
         let panel = Panel { task: "a task".into(), quantity: Quantity::Return, series };
         let svg = draw(&[panel], 1).unwrap().svg;
         assert_eq!(colour(0), colour(8));
-        assert_eq!(svg.matches(r#"stroke-dasharray="6 3""#).count(), 2);
+        assert_eq!(svg.matches(r#"stroke-dasharray="6 3""#).count(), 1);
     }
 
     #[test]
