@@ -119,12 +119,6 @@ impl Progress {
 /// Iterations over which speed and phase shares are averaged.
 const WINDOW: usize = 20;
 
-/// Returns kept for the sparkline and the trend.
-const HISTORY: usize = 40;
-
-/// Characters of the sparkline.
-const SPARKLINE: usize = 12;
-
 /// The last iterations of a run.
 struct RecentIterations {
     total: u64,
@@ -132,13 +126,12 @@ struct RecentIterations {
     begun: Option<(Instant, u64)>,
     /// When each iteration ended, and its report.
     reports: VecDeque<(Instant, IterationReport)>,
-    returns: VecDeque<f64>,
 }
 
 impl RecentIterations {
     /// Before the first iteration of a run of `total` environment steps.
     fn new(total: u64) -> Self {
-        Self { total, begun: None, reports: VecDeque::new(), returns: VecDeque::new() }
+        Self { total, begun: None, reports: VecDeque::new() }
     }
 
     /// Environment steps of finished iterations.
@@ -155,10 +148,10 @@ impl RecentIterations {
     fn observe(&mut self, event: &Event, now: Instant) {
         match event {
             Event::Iteration(report) => {
-                keep(&mut self.reports, (now, report.clone()), WINDOW);
-                report.episode_return.into_iter().for_each(|found| {
-                    keep(&mut self.returns, found, HISTORY);
-                });
+                self.reports.push_back((now, report.clone()));
+                if self.reports.len() > WINDOW {
+                    self.reports.pop_front();
+                }
             }
             Event::Collecting { env_steps, .. } if self.reports.is_empty() => {
                 self.begun.get_or_insert((now, *env_steps));
@@ -212,14 +205,8 @@ impl RecentIterations {
     }
 
     fn episode_return(&self) -> String {
-        let returns: Vec<f64> = self.returns.iter().copied().collect();
-        match returns.last() {
-            None => "return -".to_owned(),
-            Some(last) => {
-                let spark = chart::sparkline(&returns, SPARKLINE);
-                format!("return {last:.1} {} {spark}", chart::trend(&returns))
-            }
-        }
+        let last = self.reports.back().and_then(|(_, report)| report.episode_return);
+        last.map_or_else(|| "return -".to_owned(), |last| format!("return {last:.1}"))
     }
 }
 
@@ -238,13 +225,6 @@ fn notice(event: &Event) -> Option<String> {
             Some(format!("waited {} so far: {reason}", chart::duration(*seconds)))
         }
         _ => None,
-    }
-}
-
-fn keep<T>(values: &mut VecDeque<T>, value: T, limit: usize) {
-    values.push_back(value);
-    while values.len() > limit {
-        values.pop_front();
     }
 }
 
@@ -316,7 +296,7 @@ mod tests {
         }
         assert_eq!(
             recent.line(),
-            "16,000/40,000 steps (40.0 %)  1,000 steps/s  return 4.0 ↗ ▁▃▆█  24s left  \
+            "16,000/40,000 steps (40.0 %)  1,000 steps/s  return 4.0  24s left  \
              roll out 25 % update 75 %"
         );
     }

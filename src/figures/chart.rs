@@ -3,28 +3,6 @@
 /// Heights of one character cell, in eighths.
 const BLOCKS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// One line of blocks for the last values, scaled to their own range.
-pub(crate) fn sparkline(values: &[f64], width: usize) -> String {
-    let recent = &values[values.len().saturating_sub(width)..];
-    let (low, high) = range(recent);
-    recent.iter().map(|&value| BLOCKS[1 + eighths(value, low, high, 7)]).collect()
-}
-
-/// Which way the last values go: their newer half against their older half.
-pub(crate) fn trend(values: &[f64]) -> char {
-    let (older, newer) = values.split_at(values.len() / 2);
-    if older.is_empty() {
-        return '→';
-    }
-    let (low, high) = range(values);
-    let change = mean(newer) - mean(older);
-    match change {
-        change if change > 0.1 * (high - low) => '↗',
-        change if change < -0.1 * (high - low) => '↘',
-        _ => '→',
-    }
-}
-
 /// A filled curve of `(x, y)` with `y` on the left and the first and last `x` below; `rows` characters high.
 pub(crate) fn area(points: &[(f64, f64)], width: usize, rows: usize, x_label: &str) -> String {
     let columns = resampled(points, width);
@@ -94,10 +72,6 @@ fn range(values: &[f64]) -> (f64, f64) {
     values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)))
 }
 
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
 /// A count with commas: `1,000,000`.
 pub(crate) fn thousands(count: u64) -> String {
     indicatif::HumanCount(count).to_string()
@@ -116,22 +90,6 @@ pub(crate) fn duration(secs: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_sparkline_spans_its_own_range_and_keeps_the_newest_values() {
-        assert_eq!(sparkline(&[0.0, 1.0, 2.0], 8), "▁▅█");
-        assert_eq!(sparkline(&[9.0, 0.0, 7.0], 2), "▁█");
-        assert_eq!(sparkline(&[3.0, 3.0], 8), "▄▄");
-        assert_eq!(sparkline(&[], 8), "");
-    }
-
-    #[test]
-    fn the_trend_compares_the_newer_half_with_the_older_one() {
-        assert_eq!(trend(&[1.0, 2.0, 3.0, 4.0]), '↗');
-        assert_eq!(trend(&[4.0, 3.0, 2.0, 1.0]), '↘');
-        assert_eq!(trend(&[1.0, 1.0]), '→');
-        assert_eq!(trend(&[1.0]), '→');
-    }
 
     #[test]
     fn a_rising_curve_fills_the_lower_right_corner() {

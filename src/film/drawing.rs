@@ -187,7 +187,6 @@ const FLOOR: Rgb = [90, 98, 106];
 /// The floor's lines where it fills the frame.
 const LINES: Rgb = [204, 210, 216];
 const SHADOW: Rgb = [196, 201, 206];
-/// Colour of links that no agent drives.
 /// Width of the edge around a capsule, pixels.
 const EDGE: f32 = 1.5;
 /// Length of a metre's mark on the floor, pixels.
