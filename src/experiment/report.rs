@@ -1,4 +1,4 @@
-//! An experiment's table, as Markdown and CSV, and its figures.
+//! An experiment's table, as Markdown, and its figures.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,18 +13,17 @@ use crate::figures::learning_curve::{self, Curve, Quantity};
 use crate::figures::{self, chart};
 use crate::process::target;
 
-/// The table as Markdown and as CSV.
-const TABLES: [&str; 2] = ["results.md", "results.csv"];
+/// The table, as Markdown.
+const TABLE: &str = "results.md";
 
 /// Whether a table or a figure has this name.
 pub(crate) fn is_part(name: &str) -> bool {
     let mut figures = [figures::LEARNING_CURVE, figures::ABLATION].into_iter();
     let is_figure = |figure| figures::paths(Path::new(""), figure).contains(&PathBuf::from(name));
-    TABLES.contains(&name) || figures.any(is_figure)
+    name == TABLE || figures.any(is_figure)
 }
 
-/// Writes `results.md` and `results.csv` if a run is finished, and the figures of the runs that exist. Returns the table and the
-/// paths.
+/// Writes `results.md` if a run is finished, and the figures of the runs that exist. Returns the table and the paths.
 pub(crate) fn write(
     file: &ExperimentFile,
     runs: &[PlannedRun],
@@ -40,12 +39,12 @@ pub(crate) fn write(
         table += &over_all_tasks(&compared, &file.baseline, measure.name());
     }
     let mut written = Vec::new();
+    let path = file.folder.join(TABLE);
     if !measured.is_empty() {
-        written.push(put(&file.folder, TABLES[0], &table)?);
-        written.push(put(&file.folder, TABLES[1], &csv(&rows))?);
-    } else if let Some(table) = TABLES.iter().find(|name| file.folder.join(name).exists()) {
-        let table = file.folder.join(table);
-        tracing::warn!("{} is of an earlier report: now no run is finished", table.display());
+        target::file(&path, table.as_bytes())?;
+        written.push(path);
+    } else if path.exists() {
+        tracing::warn!("{} is of an earlier report: now no run is finished", path.display());
     }
     curves.retain(|curve| !curve.of(Quantity::Return).is_empty());
     if !curves.is_empty() {
@@ -97,12 +96,6 @@ fn is_there(run: &PlannedRun) -> bool {
 fn measured(curve: &Curve) -> Measured {
     let returns = curve.of(Quantity::Return).to_vec();
     Measured { task: curve.task.clone(), variant: curve.algorithm.clone(), returns }
-}
-
-fn put(folder: &Path, name: &str, text: &str) -> anyhow::Result<PathBuf> {
-    let path = folder.join(name);
-    target::file(&path, text.as_bytes())?;
-    Ok(path)
 }
 
 fn markdown(
@@ -171,30 +164,6 @@ fn shown(estimate: Estimate, decimals: usize) -> String {
     format!("{value:.decimals$} ({:.decimals$} to {:.decimals$})", interval.low, interval.high)
 }
 
-const CSV_HEADER: &str = "task,variant,runs,final_return,final_return_low,final_return_high,\
-    area,area_low,area_high,threshold,steps_to_threshold,runs_at_threshold,\
-    improvement,improvement_low,improvement_high";
-
-/// A number, or an empty field for a missing value.
-fn csv(rows: &[ResultRow]) -> String {
-    let three = |e: Estimate| format!("{},{},{}", e.value, e.interval.low, e.interval.high);
-    let line = |row: &ResultRow| {
-        format!(
-            "{},{},{},{},{},{},{},{},{}\n",
-            row.task,
-            row.variant,
-            row.runs,
-            three(row.final_return),
-            three(row.area),
-            row.threshold.map_or_else(String::new, |threshold| threshold.to_string()),
-            row.steps_to_threshold.map_or_else(String::new, |steps| steps.to_string()),
-            row.runs_at_threshold,
-            row.improvement.map_or_else(|| ",,".to_owned(), three),
-        )
-    };
-    format!("{CSV_HEADER}\n{}", rows.iter().map(line).collect::<String>())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -212,7 +181,6 @@ mod tests {
             runs: 3,
             final_return: estimate(86.0),
             area: estimate(51.0),
-            threshold: Some(43.0),
             steps_to_threshold: Some(150_000.0),
             runs_at_threshold: 2,
             improvement: None,
@@ -226,15 +194,11 @@ mod tests {
     }
 
     #[test]
-    fn both_tables_hold_each_figure_in_its_column() {
+    fn the_table_has_each_figure_in_its_column() {
         let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
         let text = markdown(&[sample()], &file, (3, 5));
         assert!(text.starts_with("3 of 5 runs are finished."), "{text}");
         let row = "| ant-4x2 | near | 3 | 86 (85 to 87) | 51 (50 to 52) | 150,000 (2/3) | - |\n";
         assert!(text.ends_with(row), "{text}");
-        let text = csv(&[sample()]);
-        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
-        assert_eq!(lines[0].len(), lines[1].len());
-        assert_eq!(lines[1].join(","), "ant-4x2,near,3,86,85,87,51,50,52,43,150000,2,,,");
     }
 }

@@ -52,8 +52,6 @@ pub(crate) struct ResultRow {
     pub(crate) final_return: Estimate,
     /// Interquartile mean of the areas under the curves, per environment step: the mean return over training.
     pub(crate) area: Estimate,
-    /// The return that the variants have to reach; `None` if no variant of the task ends higher than it began.
-    pub(crate) threshold: Option<f64>,
     /// Median over the runs of the environment steps to the threshold; `None` if half of the runs never reach it.
     pub(crate) steps_to_threshold: Option<f64>,
     /// Runs that reach the threshold.
@@ -129,7 +127,6 @@ fn row(
         runs: curves.len(),
         final_return: mean(&finals, 0),
         area: mean(&areas, 1),
-        threshold,
         steps_to_threshold: median_steps(&reached),
         runs_at_threshold: reached.iter().flatten().count(),
         improvement: baseline.map(|baseline| improvement(&finals, baseline)),
@@ -209,7 +206,6 @@ mod tests {
         let [new, happo] = rows.as_slice() else { panic!("{rows:?}") };
         // IQM of 20, 100, 100: 20 / 6 + 100 * 2 / 3 + 100 / 6 = 86.67; half of it is learnt.
         assert!((new.final_return.value - 260.0 / 3.0).abs() < 1e-9, "{new:?}");
-        assert!((new.threshold.unwrap() - 130.0 / 3.0).abs() < 1e-9, "{new:?}");
         assert_eq!((new.runs, new.runs_at_threshold, new.steps_to_threshold), (3, 2, Some(100.0)));
         // Areas 70, 55 and 20: (20 + 70) / 6 + 55 * 2 / 3.
         assert!((new.area.value - (15.0 + 110.0 / 3.0)).abs() < 1e-9, "{new:?}");
@@ -228,7 +224,7 @@ mod tests {
         let runs = [curve("happo", [-100.0, -60.0, -10.0]), curve("new", [-100.0, -20.0, 0.0])];
         let variants = ["new".to_owned(), "happo".to_owned()];
         let rows = rows(&runs, &variants, "happo", 0.8);
-        assert_eq!(rows[0].threshold, Some(-20.0));
+        // -20, four fifths of the way from -100 to 0.
         let steps: Vec<_> = rows.iter().map(|row| row.steps_to_threshold).collect();
         assert_eq!(steps, [Some(100.0), Some(200.0)]);
     }
@@ -239,8 +235,8 @@ mod tests {
             let runs = [curve("happo", returns)];
             let rows = rows(&runs, &["happo".to_owned()], "happo", 0.8);
             let [happo] = rows.as_slice() else { panic!("{rows:?}") };
-            assert_eq!((happo.threshold, happo.steps_to_threshold), (None, None), "{returns:?}");
-            assert_eq!(happo.runs_at_threshold, 0);
+            let learnt = (happo.runs_at_threshold, happo.steps_to_threshold);
+            assert_eq!(learnt, (0, None), "{returns:?}");
         }
     }
 

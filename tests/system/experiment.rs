@@ -114,15 +114,13 @@ fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing
         told.contains("3 of 3 runs are finished") && told.contains("| cue-2x1 | short | 2 |"),
         "{told}"
     );
-    let names =
-        ["results.md", "results.csv", "learning_curve.png", "learning_curve.svg", "ablation.png"];
-    for name in names {
+    for name in ["results.md", "learning_curve.png", "learning_curve.svg", "ablation.png"] {
         assert!(experiment.folder().join(name).is_file(), "{name}");
     }
-    let results = std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap();
-    std::fs::remove_file(experiment.folder().join("results.csv")).unwrap();
+    let results = std::fs::read_to_string(experiment.folder().join("results.md")).unwrap();
+    std::fs::remove_file(experiment.folder().join("results.md")).unwrap();
     experiment.run(&["--report"]);
-    assert_eq!(std::fs::read_to_string(experiment.folder().join("results.csv")).unwrap(), results);
+    assert_eq!(std::fs::read_to_string(experiment.folder().join("results.md")).unwrap(), results);
 
     let record = experiment.record();
     let lines = experiment.folder().join("cue-2x1-long-seed3/provenance.jsonl");
