@@ -295,25 +295,6 @@ async fn a_stream_ends_at_its_deadline_and_when_the_server_stops() {
     assert_eq!(server.process.rest(), ["stopping"]);
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn newer_checkpoints_are_loaded_between_episodes() {
-    let runs = Runs::new();
-    let folder = runs.folder("followed");
-    train(&folder, &["run.iterations=2"]);
-    let server = Server::start(&folder, &["--follow"]);
-    let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
-    let seen = observations(&*world(&folder));
-    assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2);
-    succeeded(&["train", "--resume", text(&folder), "run.iterations=4"]);
-    let mut newest = 2;
-    while newest == 2 {
-        newest = server.weights().await.version.0;
-    }
-    assert_eq!(newest, 4);
-    assert_eq!(acting.step(next(seen.clone())).await.weights.version.0, 2, "in the same episode");
-    assert_eq!(acting.step(first(seen)).await.weights.version.0, 4);
-}
-
 #[test]
 fn health_is_served_and_remote_clients_require_an_option() {
     let folder = trained();

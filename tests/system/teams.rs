@@ -53,8 +53,6 @@ fn a_team_is_filmed_evaluated_recorded_exported_and_served_by_the_name_of_its_ta
     let line = server.line();
     assert!(line.starts_with(&format!("{TASK} serves its policies of iteration 1000 on http")));
     server.stop();
-    let line = failure(&mut within(&folder, &["serve", TASK, "--follow"]), 2);
-    assert!(line.contains("leave out --follow"), "{line}");
 }
 
 #[test]

@@ -47,8 +47,8 @@ pub struct ServedPolicies {
     pub control_ranges: Vec<Vec<[f32; 2]>>,
     /// For each agent, the actuators that these numbers control.
     pub actuators: Vec<Vec<ActuatorSpec>>,
-    /// The newest version of the policies.
-    pub newest: watch::Receiver<Arc<Published>>,
+    /// The policies.
+    pub published: Arc<Published>,
 }
 
 /// Serves policies at `listener` until `stop` is true; open streams then end with `UNAVAILABLE`.
@@ -110,13 +110,13 @@ impl PolicyService for Policies {
         let caller = connections::caller(&request, "act");
         let timeout = deadline::of(request.metadata()).unwrap_or(NO_DEADLINE);
         let end = Instant::now() + timeout.min(NO_DEADLINE);
-        let newest = self.served.newest.clone();
+        let published = Arc::clone(&self.served.published);
         let stop = self.stop.clone();
         let steps = request.into_inner();
         tokio::spawn(async move {
             let status = tokio::select! {
                 () = answers.closed() => return,
-                ended = answer_steps(steps, newest, &answers, caller) => ended.err(),
+                ended = answer_steps(steps, published, &answers, caller) => ended.err(),
                 () = tokio::time::sleep_until(end) => Some(Status::deadline_exceeded("the stream's deadline has passed")),
                 () = stopped(stop) => Some(Status::unavailable("the server is stopping")),
             };
@@ -132,7 +132,7 @@ impl PolicyService for Policies {
 /// Answers the steps of a stream in order.
 async fn answer_steps(
     mut steps: Streaming<wire::ActRequest>,
-    mut newest: watch::Receiver<Arc<Published>>,
+    published: Arc<Published>,
     answers: &mpsc::Sender<Result<wire::ActResponse, Status>>,
     caller: Caller,
 ) -> Result<(), Status> {
@@ -147,13 +147,13 @@ async fn answer_steps(
     };
     let Some(start) = steps.message().await? else { return Ok(()) };
     let choice = ActionChoice::from_wire(start).map_err(refused)?;
-    let first = Arc::clone(&newest.borrow_and_update());
-    let sizes = first.policy.agents.iter().map(ActorPolicy::observation_size).collect::<Vec<_>>();
-    let mut agents = ServedAgents::new(first, choice);
+    let agents = published.policy.agents.iter();
+    let sizes = agents.map(ActorPolicy::observation_size).collect::<Vec<_>>();
+    let mut agents = ServedAgents::new(published, choice);
     while let Some(step) = steps.message().await? {
         let step = ActStep::from_wire(&step, &sizes).map_err(refused)?;
         if step.reset {
-            agents.reset(Arc::clone(&newest.borrow_and_update()));
+            agents.team.reset(0);
         }
         let computed = tokio::task::spawn_blocking(move || {
             let acted = agents.act(&step);
@@ -186,12 +186,6 @@ impl ServedAgents {
         Self { weights, team }
     }
 
-    /// Starts an episode with these weights, whose recurrent states have the sizes of those before.
-    fn reset(&mut self, weights: Arc<Published>) {
-        self.team.reset(0);
-        self.weights = weights;
-    }
-
     /// Computes actions for the observations of a validated step.
     fn act(&mut self, step: &ActStep) -> Acted {
         let Self { weights, team } = self;
@@ -203,9 +197,8 @@ impl ServedAgents {
 
 impl ServedPolicies {
     fn description(&self) -> wire::DescribePolicyResponse {
-        let newest = self.newest.borrow();
         let range = |[low, high]: &[f32; 2]| wire::ControlRange { low: *low, high: *high };
-        let agents = self.environment.agents.iter().zip(&newest.policy.agents);
+        let agents = self.environment.agents.iter().zip(&self.published.policy.agents);
         let agents = agents.zip(self.control_ranges.iter().zip(&self.actuators));
         let agents = agents.map(|((agent, policy), (ranges, actuators))| wire::PolicyAgent {
             agent: Some(agent.to_wire()),
@@ -217,7 +210,7 @@ impl ServedPolicies {
         wire::DescribePolicyResponse {
             run_id: self.run_id.clone(),
             task: self.environment.task.clone(),
-            weights: Some(newest.name.to_wire()),
+            weights: Some(self.published.name.to_wire()),
             agents: agents.collect(),
             dt_secs: self.environment.dt_secs,
             algorithm: self.algorithm.clone(),
