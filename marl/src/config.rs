@@ -14,6 +14,7 @@ pub use self::influence::{Estimator, InfluenceConfig, QTraining};
 pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{DensityKind, SurpriseConfig};
 use crate::optimisation::learning_rate::LearningRateDecay;
+use crate::optimisation::optimizer::AdamConfig;
 
 /// All settings of a learning rule, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -202,6 +203,12 @@ impl TrainingConfig {
 }
 
 impl UpdateConfig {
+    /// The optimiser of a policy.
+    pub(crate) fn adam(&self) -> AdamConfig {
+        let Self { learning_rate, adam_epsilon, max_gradient_norm, .. } = *self;
+        AdamConfig { learning_rate, epsilon: adam_epsilon, max_gradient_norm }
+    }
+
     fn validate(&self) -> Result<(), SettingError> {
         within("update.gamma", self.gamma, 0.0..1.0, "0 <= gamma < 1")?;
         within("update.gae_lambda", self.gae_lambda, 0.0..=1.0, "0 <= gae_lambda <= 1")?;
@@ -217,6 +224,12 @@ impl UpdateConfig {
 }
 
 impl CriticConfig {
+    /// The optimiser of a critic, with the policies' `epsilon`.
+    pub(crate) fn adam(&self, epsilon: f64) -> AdamConfig {
+        let Self { learning_rate, max_gradient_norm, .. } = *self;
+        AdamConfig { learning_rate, epsilon, max_gradient_norm }
+    }
+
     fn validate(&self) -> Result<(), SettingError> {
         count("critic.layers", self.layers)?;
         count("critic.width", self.width)?;

@@ -30,7 +30,7 @@ use crate::objective::advantage::next_values;
 use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::optimisation::layers::{Normalisation, rectified_layers, rows};
 use crate::optimisation::minibatch::minibatches;
-use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::optimizer::Adam;
 use crate::optimisation::shards::{self, shards};
 use crate::rounding::round;
 use crate::shape::assert_shape;
@@ -118,18 +118,13 @@ impl Critic {
         };
         let mut parameters = Parameters::new();
         let layers = LayerStack::declare(&mut parameters, &specs, &mut rng)?;
-        let adam = AdamConfig {
-            learning_rate: config.learning_rate,
-            epsilon: adam_epsilon,
-            max_gradient_norm: config.max_gradient_norm,
-        };
         Ok(Self {
             config: config.clone(),
             seed,
             count,
             inputs,
             scale: StateScale::new(config.state_norm, inputs),
-            adam: Adam::new(adam, &parameters),
+            adam: Adam::new(config.adam(adam_epsilon), &parameters),
             parameters,
             layers,
             normalizers: vec![ValueNormalizer::new(config.normalizer_beta); count],

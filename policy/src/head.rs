@@ -158,7 +158,7 @@ impl Head {
         match self {
             Self::Categorical { .. } => action[0] = categorical::draw(output, rng) as f32,
             Self::TanhGaussian { low, high, noise } => {
-                let own = noise.map_or(1.0, SharedNoise::own_part);
+                let own = SharedNoise::own_part(noise);
                 tanh_gaussian::draw(output, ((low, high), own), rng, action);
             }
             Self::Uniform { low, high } => {
@@ -195,7 +195,7 @@ impl Head {
             Self::Categorical { .. } => categorical::log_prob(output, action[0] as usize),
             Self::Uniform { low, high } => -(action.len() as f32) * libm::logf(high - low),
             Self::TanhGaussian { low, high, noise } => {
-                let own = noise.map_or(1.0, SharedNoise::own_part);
+                let own = SharedNoise::own_part(noise);
                 tanh_gaussian::log_prob(output, ((low, high), own), action)
             }
         }

@@ -63,10 +63,11 @@ impl SharedNoise {
         self.share.unwrap_or(1.0)
     }
 
-    /// `sqrt(1 - |r|^2)` of constant loadings: the fraction of a deviation that is each agent's own.
+    /// `sqrt(1 - |r|^2)` of constant loadings: the fraction of a deviation that is each agent's own; 1 if noise is independent.
     #[must_use]
-    pub fn own_part(self) -> f64 {
-        let loading = f64::from(self.share() * self.loading.unwrap_or_default());
+    pub fn own_part(noise: Option<Self>) -> f64 {
+        let loading = |noise: Self| noise.share() * noise.loading.unwrap_or_default();
+        let loading = f64::from(noise.map_or(0.0, loading));
         (1.0 - loading * loading).sqrt()
     }
 

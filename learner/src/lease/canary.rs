@@ -235,7 +235,7 @@ impl Replay<'_> {
 /// deviations given the signal, by `ls` `[act]`, may be smaller; at least 1.
 fn sensitivity(head: Head, ls: &[f32]) -> f32 {
     let Head::TanhGaussian { noise, .. } = head else { return 1.0 };
-    let own = noise.map_or(1.0, SharedNoise::own_part);
+    let own = SharedNoise::own_part(noise);
     ls.iter().fold(1.0, |most, l| (0.1 / (sigma(*l) * own)).max(most)) as f32
 }
 

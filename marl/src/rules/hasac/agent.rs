@@ -6,7 +6,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{ActorPolicy, Head, PolicyConfig};
 use rand::RngCore;
 
-use crate::config::{HasacConfig, TrainingConfig, UpdateConfig};
+use crate::config::{HasacConfig, TrainingConfig};
 use crate::data::batch::{AgentShape, Problem};
 use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
@@ -48,8 +48,7 @@ impl HasacAgent {
         let shape = problem.agents[index].clone();
         let mut rng = generator(seed, Draw::of(Purpose::Initialisation).agent(index as u32));
         let sizes = (shape.observation, policy.width, policy.layers, 2 * shape.action);
-        let UpdateConfig { learning_rate, adam_epsilon, max_gradient_norm, .. } = config.update;
-        let adam = AdamConfig { learning_rate, epsilon: adam_epsilon, max_gradient_norm };
+        let adam = config.update.adam();
         let network = NormalisedNetwork::new(sizes, (adam, own), &mut rng)?;
         Ok(Self {
             index,

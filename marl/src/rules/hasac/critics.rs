@@ -7,7 +7,6 @@ use crate::config::{HasacConfig, TrainingConfig};
 use crate::critic::StateScale;
 use crate::data::batch::Problem;
 use crate::error::MarlError;
-use crate::optimisation::optimizer::AdamConfig;
 use crate::rules::hasac::network::{FrozenNetwork, NormalisedNetwork};
 use crate::state::Visitor;
 
@@ -34,11 +33,7 @@ impl TwinCritics {
     ) -> Result<Self, MarlError> {
         let critic = &config.critic;
         let actions: usize = problem.agents.iter().map(|agent| agent.action).sum();
-        let adam = AdamConfig {
-            learning_rate: critic.learning_rate,
-            epsilon: config.update.adam_epsilon,
-            max_gradient_norm: critic.max_gradient_norm,
-        };
+        let adam = critic.adam(config.update.adam_epsilon);
         let network = |twin: u32| {
             let mut rng = generator(seed, Draw::of(Purpose::CriticInitialisation).agent(twin));
             let sizes = (problem.state + actions, critic.width, critic.layers, 1);

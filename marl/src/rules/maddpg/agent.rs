@@ -11,7 +11,7 @@ use crate::data::batch::Problem;
 use crate::error::MarlError;
 use crate::optimisation::gradient::{Gradients, OutputGradient, numbers, root};
 use crate::optimisation::layers::rows;
-use crate::optimisation::optimizer::{Adam, AdamConfig};
+use crate::optimisation::optimizer::Adam;
 use crate::rules::maddpg::q::ActionValue;
 use crate::rules::off_policy::replay::Sample;
 use crate::state::{Visitor, visit_parameters};
@@ -61,16 +61,12 @@ impl MaddpgAgent {
             let mut rng = draw(Purpose::CriticInitialisation);
             ActionValue::new(&config.critic, inputs, &mut rng)
         };
-        let adam = |learning_rate, max_gradient_norm, parameters: &Parameters| {
-            let epsilon = config.update.adam_epsilon;
-            Adam::new(AdamConfig { learning_rate, epsilon, max_gradient_norm }, parameters)
-        };
         let (update, critic) = (&config.update, &config.critic);
         let (first, q) = (actor()?, value()?);
         Ok(Self {
             index,
-            actor_adam: adam(update.learning_rate, update.max_gradient_norm, first.parameters()),
-            value_adam: adam(critic.learning_rate, critic.max_gradient_norm, &q.parameters),
+            actor_adam: Adam::new(update.adam(), first.parameters()),
+            value_adam: Adam::new(critic.adam(update.adam_epsilon), &q.parameters),
             actor: first,
             target_actor: actor()?,
             value: q,

@@ -65,11 +65,7 @@ impl Agent {
         let sizes = problem.agents.iter().map(|agent| agent.kind.encoded_size(agent.action));
         let total: usize = sizes.sum();
         let (update, influence) = (&config.update, &config.influence);
-        let adam = AdamConfig {
-            learning_rate: update.learning_rate,
-            epsilon: update.adam_epsilon,
-            max_gradient_norm: update.max_gradient_norm,
-        };
+        let adam = update.adam();
         let own = PosteriorShape {
             others: total - shape.kind.encoded_size(shape.action),
             features: network.feature_size(),
