@@ -1,6 +1,7 @@
 //! The settings of a run: layers of TOML, environment variables and `key=value`, each value with its origin.
 //! `config/run_config.rs` and the crates interpret the values.
 
+mod agents;
 mod conditions;
 pub(crate) mod effect;
 pub(crate) mod keys;

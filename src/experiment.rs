@@ -72,6 +72,9 @@ pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
             let Some(&seed) = seeds(variant).get(turn) else { continue };
             for task in variant.tasks.as_ref().unwrap_or(&file.tasks) {
                 let run = planned(file, variant, task, seed)?;
+                if turn == 0 {
+                    run.config.demand_task()?;
+                }
                 runs.push(PlannedRun { index: runs.len(), ..run });
             }
         }

@@ -6,7 +6,7 @@ mod maddpg;
 mod surprise;
 
 use policy::InputNorm;
-use policy::setting::{SettingError, count, not_negative, positive, within};
+use policy::setting::{SettingError, between, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
 
 pub use self::hasac::HasacConfig;
@@ -15,6 +15,11 @@ pub use self::maddpg::MaddpgConfig;
 pub use self::surprise::{DensityKind, SurpriseConfig};
 use crate::optimisation::learning_rate::LearningRateDecay;
 use crate::optimisation::optimizer::AdamConfig;
+
+/// Largest number of units in a layer, as of policies.
+const WIDEST: usize = 4096;
+/// Most epochs, and most minibatches of one.
+const MOST_PASSES: usize = 65_536;
 
 /// All settings of a learning rule, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -215,8 +220,8 @@ impl UpdateConfig {
         positive("update.learning_rate", self.learning_rate)?;
         positive("update.adam_epsilon", self.adam_epsilon)?;
         within("update.clip", self.clip, f64::MIN_POSITIVE..1.0, "0 < clip < 1")?;
-        count("update.epochs", self.epochs)?;
-        count("update.minibatches", self.minibatches)?;
+        between("update.epochs", self.epochs, 1, MOST_PASSES)?;
+        between("update.minibatches", self.minibatches, 1, MOST_PASSES)?;
         not_negative("update.desired_kl", self.desired_kl)?;
         not_negative("update.entropy", self.entropy)?;
         positive("update.max_gradient_norm", self.max_gradient_norm)
@@ -231,11 +236,11 @@ impl CriticConfig {
     }
 
     fn validate(&self) -> Result<(), SettingError> {
-        count("critic.layers", self.layers)?;
-        count("critic.width", self.width)?;
+        between("critic.layers", self.layers, 1, 16)?;
+        between("critic.width", self.width, 1, WIDEST)?;
         positive("critic.learning_rate", self.learning_rate)?;
-        count("critic.epochs", self.epochs)?;
-        count("critic.minibatches", self.minibatches)?;
+        between("critic.epochs", self.epochs, 1, MOST_PASSES)?;
+        between("critic.minibatches", self.minibatches, 1, MOST_PASSES)?;
         not_negative("critic.clip", self.clip)?;
         positive("critic.huber_delta", self.huber_delta)?;
         within("critic.normalizer_beta", self.normalizer_beta, 0.0..1.0, "0 <= beta < 1")?;

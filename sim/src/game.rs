@@ -4,7 +4,7 @@ use proto::{ActionSpec, AgentSpec, EnvironmentSpec, EpisodePosition, FeatureRole
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-use crate::config::{ObservationMode, ObservationNorm, TaskConfig};
+use crate::config::{ObservationNorm, TaskConfig};
 use crate::environment_batch::{EnvironmentBatch, Outcome, check_actions};
 use crate::error::SimError;
 use crate::state::{STATE_VERSION, State, StateBounds};
@@ -82,10 +82,11 @@ struct Episode<G> {
 impl<G: Game> GameEnvironments<G> {
     /// Returns `count` games whose numbers are all 0, in episode 0.
     pub(crate) fn new(config: &TaskConfig, count: usize) -> Result<Self, SimError> {
-        let (mode, norm) = (config.observation.mode, config.observation.norm);
-        if (mode, norm) != (ObservationMode::FullId, ObservationNorm::None) {
-            let settings = "set observation.mode=full_id and observation.norm=none";
-            let why = format!("{} has unscaled features only: {settings}", G::NAME);
+        if config.observation.norm != ObservationNorm::None {
+            let why = format!(
+                "{} is a game, which scales no features: set observation.norm=none",
+                G::NAME
+            );
             return Err(SimError::Task(why));
         }
         let bounds = bounds::<G>();

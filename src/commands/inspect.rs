@@ -27,6 +27,7 @@ pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
         keys.iter().for_each(|key| output::line(explained(&config, key)));
         return Ok(());
     }
+    config.demand_task()?;
     output::line(config.resolved.to_toml_with_origins(effect::remarks(&config)));
     output::line(format!("# config_sha256 = {}", policy::arrays::hex(&config.resolved.sha256())));
     Ok(())

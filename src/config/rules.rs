@@ -3,9 +3,8 @@
 
 use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Continuous, Discrete};
-use marl::config::{QTraining, Sharing};
+use marl::config::QTraining;
 use policy::setting::{SettingError, multiple, within};
-use proto::EnvironmentSpec;
 
 use super::conditions::{
     Condition, HASAC, INFLUENCE, MADDPG, OFF_POLICY, Property, RunContext, SHARED_NOISE,
@@ -174,37 +173,6 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     Ok(())
 }
 
-/// Refuses shared parameters of agents with different sizes.
-pub(super) fn demand_equal_agents(
-    config: &RunConfig,
-    environment: &EnvironmentSpec,
-) -> Result<(), ConfigError> {
-    if config.training.update.parameters == Sharing::Separate {
-        return Ok(());
-    }
-    let sizes = |index: usize| {
-        let agent = &environment.agents[index];
-        (agent.observation.len(), agent.action.size, agent.action.choices)
-    };
-    let Some(other) = (1..environment.agents.len()).find(|&index| sizes(index) != sizes(0)) else {
-        return Ok(());
-    };
-    let has = |index: usize| match sizes(index) {
-        (features, _, Some(choices)) => {
-            format!("{features} observation features and {choices} choices")
-        }
-        (features, size, None) => {
-            format!("{features} observation features and {size} action dimensions")
-        }
-    };
-    let detail = format!(
-        "update.parameters = shared needs agents of equal sizes: agent 0 has {}, agent {other} has {}; use separate",
-        has(0),
-        has(other)
-    );
-    Err(ConfigError::refused(&config.resolved, &["update.parameters"], &detail))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -316,32 +284,5 @@ mod tests {
             let message = RunConfig::with(settings).expect_err("refused").to_string();
             assert_eq!(message, expected);
         }
-    }
-
-    #[test]
-    fn agents_with_shared_parameters_must_have_equal_sizes() {
-        let config = RunConfig::with(&["update.parameters=shared"]).unwrap();
-        let world = sim::environments(&config.task, 1).unwrap();
-        let mut spec = world.description().clone();
-        assert_eq!(config.demand_suitable(Some(&spec)), Ok(()));
-        let features = format!("{} observation features", spec.agents[0].observation.len());
-        let refused =
-            |spec: &EnvironmentSpec| demand_equal_agents(&config, spec).unwrap_err().to_string();
-        spec.agents[1].action.size = 1;
-        assert_eq!(
-            refused(&spec),
-            format!(
-                "command line: update.parameters = shared needs agents of equal sizes: agent 0 has {features} and 3 action \
-                 dimensions, agent 1 has {features} and 1 action dimensions; use separate"
-            )
-        );
-        for (agent, choices) in spec.agents.iter_mut().zip([3, 5]) {
-            (agent.action.size, agent.action.choices) = (1, Some(choices));
-        }
-        let message = refused(&spec);
-        assert!(
-            message.contains("and 3 choices, agent 1 ") && message.contains("and 5 choices;"),
-            "{message}"
-        );
     }
 }

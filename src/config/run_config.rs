@@ -13,7 +13,8 @@ use sim::{ObservationNorm, TaskDefinition};
 use super::conditions::RunContext;
 use super::layers::{self, Request};
 use super::resolved::{ConfigError, Resolved, in_words};
-use super::{effect, keys, known, message_steps, own_task, rules};
+use super::{agents, effect, keys, known, message_steps, own_task, rules};
+use crate::errors::Usage;
 use crate::run::start;
 
 /// More actor processes than this on one machine are a mistake.
@@ -177,9 +178,19 @@ impl RunConfig {
         let run = RunContext::of(self, offered);
         rules::demand(&run)?;
         if let Some(environment) = offered {
-            rules::demand_equal_agents(self, environment)?;
+            agents::demand(self, environment)?;
         }
         effect::demand(&run)
+    }
+
+    /// Refuses a task of the simulator that cannot be built with these settings, or whose agents do not suit them.
+    pub(crate) fn demand_task(&self) -> anyhow::Result<()> {
+        if !self.environment.url.is_empty() {
+            return Ok(());
+        }
+        let world = sim::environments(&self.task, 1);
+        let world = world.map_err(|why| Usage::new(format!("cannot build the task: {why}")))?;
+        Ok(self.demand_suitable(Some(world.description()))?)
     }
 
     /// Refuses weights of reward terms that the task does not have.

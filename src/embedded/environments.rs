@@ -9,7 +9,7 @@ use policy::RunSeed;
 use policy::setting::between;
 use proto::EnvironmentSpec;
 use serde_json::json;
-use sim::{Disturbances, EnvironmentBatch, Outcome, Pose, Robot, SimError};
+use sim::{Disturbances, EnvironmentBatch, ObservationNorm, Outcome, Pose, Robot, SimError};
 
 use super::agents;
 use crate::config::Request;
@@ -91,7 +91,9 @@ impl Environments {
         let keys: Vec<String> = keys.map(|(key, _)| key.to_owned()).collect();
         let settings_place = Some("settings".to_owned());
         let request = Request { settings, settings_place, ..Request::default() };
-        let config = RunConfig::of(&request)?;
+        let mut config = RunConfig::of(&request)?;
+        // Learners scale observations.
+        config.task.observation.norm = ObservationNorm::None;
         demand_effect(&keys)?;
         let (count, threads) = (count as usize, threads as usize);
         let size = count.div_ceil(threads);

@@ -164,6 +164,9 @@ impl ExperimentFile {
     fn validate(&self) -> Result<(), String> {
         distinct("seeds", &self.seeds)?;
         distinct("tasks", &self.tasks)?;
+        if self.variants.is_empty() {
+            return Err("variants must not be empty: a [[variants]] has an algorithm".to_owned());
+        }
         distinct("names of variants", &self.variants.iter().map(|v| &v.name).collect::<Vec<_>>())?;
         self.variants.iter().try_for_each(Variant::validate)?;
         self.environments.keys().try_for_each(|task| self.demand_task(task))?;

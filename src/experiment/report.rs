@@ -146,11 +146,18 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
             comparison.adjusted_p_value,
         )
     };
+    let missing = comparisons.iter().any(|comparison| shown(comparison.score, 3) == "-");
+    let why = match missing {
+        true => format!(
+            "\nNo score (-): on some task {baseline}'s {measure} is not above 0, in the runs or in some resamples.\n"
+        ),
+        false => String::new(),
+    };
     format!(
         "\nOver all tasks, by {measure}: scores are in units of {baseline}'s {measure} on the task; \
          intervals by bootstrap within each task; p by permutation within each task, adjusted by Holm.\n\n\
          | variant | tasks | runs | score | P(better than {baseline}) | p | p, adjusted |\n\
-         | --- | --- | --- | --- | --- | --- | --- |\n{}",
+         | --- | --- | --- | --- | --- | --- | --- |\n{}{why}",
         comparisons.iter().map(line).collect::<String>()
     )
 }
@@ -191,6 +198,26 @@ mod tests {
     fn a_figure_that_some_resamples_lack_is_not_shown() {
         let interval = Interval { low: 2.0, high: f64::NAN };
         assert_eq!(shown(Estimate { value: 3.0, interval }, 2), "-");
+    }
+
+    #[test]
+    fn a_table_without_a_score_says_why() {
+        let text = |score: f64| {
+            let estimate =
+                |value| Estimate { value, interval: Interval { low: value, high: value } };
+            let comparison = Comparison {
+                variant: "near".into(),
+                tasks: 1,
+                runs: 3,
+                score: estimate(score),
+                improvement: estimate(0.5),
+                p_value: 1.0,
+                adjusted_p_value: 1.0,
+            };
+            over_all_tasks(&[comparison], "far", "final return")
+        };
+        let why = "No score (-): on some task far's final return is not above 0";
+        assert!(text(f64::NAN).contains(why) && !text(1.0).contains(why));
     }
 
     #[test]

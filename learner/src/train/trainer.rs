@@ -247,6 +247,7 @@ impl RunningTrainer {
         trainer.trace(collected.behaviour, &collected.rollouts, &update.report)?;
         self.advise(report.actors);
         self.report_divergence();
+        self.report_instability(&report);
         self.tell(&Event::Iteration(report));
         Ok(())
     }
@@ -321,7 +322,11 @@ impl Trainer {
         let update = || algorithm.update(&seen, &rewards, *iteration);
         let report = pool.install(update)?;
         pool.install(|| observations.take_in(batch));
-        self.encode_policies(self.iteration + 1)?;
+        let next = self.iteration + 1;
+        self.encode_policies(next).map_err(|why| {
+            let remedy = "the update diverged, so lower update.learning_rate";
+            LearnerError::Other(format!("no policies after iteration {next}: {why}; {remedy}"))
+        })?;
         let update_secs = begin.elapsed().as_secs_f64();
         Ok(Update { report, density_secs, update_secs })
     }

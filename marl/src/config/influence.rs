@@ -1,7 +1,9 @@
 //! Settings of the influence term and its posteriors.
 
-use policy::setting::{SettingError, count, not_negative, positive, within};
+use policy::setting::{SettingError, between, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
+
+use super::{MOST_PASSES, WIDEST};
 
 /// Influence maximisation (Eq. 5-10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,11 +61,11 @@ impl InfluenceConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
         not_negative("influence.lambda", self.lambda)?;
         positive("influence.kappa", self.kappa)?;
-        count("influence.encoder", self.encoder)?;
-        count("influence.hidden", self.hidden)?;
-        count("influence.epochs", self.epochs)?;
+        between("influence.encoder", self.encoder, 1, WIDEST)?;
+        between("influence.hidden", self.hidden, 1, WIDEST)?;
+        between("influence.epochs", self.epochs, 1, MOST_PASSES)?;
         positive("influence.learning_rate", self.learning_rate)?;
-        count("influence.minibatches", self.minibatches)?;
+        between("influence.minibatches", self.minibatches, 1, MOST_PASSES)?;
         positive("influence.posterior_sigma_floor", self.posterior_sigma_floor)?;
         let some = "at least 2: with 1 no environment would be left to train on";
         within("influence.holdout_every", self.holdout_every, 2.., some)?;

@@ -1,6 +1,6 @@
 //! Settings of MADDPG only: its replay, targets and exploration.
 
-use policy::setting::{SettingError, between, count, positive, within};
+use policy::setting::{SettingError, between, count, within};
 use serde::{Deserialize, Serialize};
 
 /// MADDPG's exploration, replay and targets. Learning rates, discount and critic sizes are in the sections `update` and
@@ -33,7 +33,9 @@ impl MaddpgConfig {
         let ratio = "0 < updates_per_step <= 10";
         let updates = f64::MIN_POSITIVE..=10.0;
         within("maddpg.updates_per_step", self.updates_per_step, updates, ratio)?;
-        positive("maddpg.noise", self.noise)?;
+        // Actors have the noise in single precision.
+        let noises = f64::from(f32::MIN_POSITIVE)..=10.0;
+        within("maddpg.noise", self.noise, noises, "above 0, at most 10")?;
         within("maddpg.polyak", self.polyak, f64::MIN_POSITIVE..=1.0, "0 < polyak <= 1")
     }
 }

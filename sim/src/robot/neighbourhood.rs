@@ -27,7 +27,7 @@ pub(crate) struct JointBodies {
 }
 
 impl Neighbourhood {
-    /// Joints at distance 0, 1, ..., `reach` from `own`, each level sorted by name.
+    /// Joints at distance 0, 1, ..., at most `reach` from `own`, each level sorted by name; none is empty but the first.
     pub(crate) fn levels<'a>(&'a self, own: &[&'a str], reach: usize) -> Vec<BTreeSet<&'a str>> {
         let mut levels: Vec<BTreeSet<&str>> = vec![own.iter().copied().collect()];
         let mut known = levels[0].clone();
@@ -39,6 +39,9 @@ impl Neighbourhood {
                 .filter(|edge| edge.iter().any(|joint| last.contains(joint.as_str())));
             let joints = near.flatten().map(String::as_str);
             let next: BTreeSet<&str> = joints.filter(|joint| !known.contains(joint)).collect();
+            if next.is_empty() {
+                break;
+            }
             known.extend(&next);
             levels.push(next);
         }
@@ -112,6 +115,8 @@ mod tests {
         assert_eq!(names[0], ["ankle_4", "hip_4"]);
         assert_eq!(names[1], ["hip_1", "hip_2", "hip_3"]);
         assert_eq!(names[2], ["ankle_1", "ankle_2", "ankle_3"]);
+        // All eight joints are within two edges.
+        assert_eq!(ant.levels(&["hip_4", "ankle_4"], usize::MAX), levels);
         assert_eq!(ant.bodies(&levels[0]), ["torso", "shoulder_4", "thigh_4", "shank_4"]);
     }
 }

@@ -231,3 +231,13 @@ fn a_printed_configuration_remarks_on_what_has_no_effect() {
         text.lines().find(|line| line.starts_with("layers = 3  # configs/base.toml;")).unwrap();
     assert!(line.ends_with("; no effect: it needs policy.core = mlp"), "{line}");
 }
+
+#[test]
+fn a_needed_setting_that_has_no_value_is_shown_as_not_given() {
+    let line = RunConfig::with(&["policy.noise_loading=0.5"]).expect_err("refused").to_string();
+    assert_eq!(
+        line,
+        "command line: `policy.noise_loading` has no effect in this run: it needs policy.noise = shared, and policy.noise is \
+         not given; leave it out or change that"
+    );
+}

@@ -122,13 +122,22 @@ fn a_run_has_a_million_env_steps_unless_its_length_is_given() {
 
 #[test]
 fn a_value_out_of_range_is_laid_at_its_key_and_place() {
-    for (setting, key) in [
+    for (setting, words) in [
         ("update.gamma=1.5", "update.gamma"),
         ("update.learning_rate=-1", "update.learning_rate"),
         ("environments.count=0", "environments.count"),
         ("environments.message_steps=25", "environments.message_steps"),
         ("policy.core=lstm", "policy.core"),
         ("policy.hidden=0", "policy.hidden"),
+        (
+            "critic.width=9223372036854775807",
+            "critic.width = 9223372036854775807 is out of range: 1 to 4096",
+        ),
+        ("critic.layers=17", "critic.layers = 17 is out of range: 1 to 16"),
+        ("critic.minibatches=65537", "critic.minibatches"),
+        ("update.minibatches=9223372036854775807", "update.minibatches"),
+        ("influence.hidden=4097", "influence.hidden"),
+        ("maddpg.noise=1e300", "maddpg.noise"),
         ("observation.mode=eyes", "observation.mode"),
         ("observation.norm=mean", "observation.norm"),
         ("critic.core=lstm", "critic.core"),
@@ -152,6 +161,6 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
             .unwrap_err()
             .to_string();
         assert!(message.starts_with("command line: "), "{message}");
-        assert!(message.contains(key) && !message.contains('\n'), "{message}");
+        assert!(message.contains(words) && !message.contains('\n'), "{message}");
     }
 }

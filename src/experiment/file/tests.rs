@@ -45,6 +45,8 @@ fn tasks_variants_seeds_and_a_length_are_enough() {
     assert_eq!(least.baseline, "happo");
     assert_eq!(file(mappo).baseline, "mappo");
     assert_eq!(file(&format!("{mappo}{happo}name = \"plain\"\n")).baseline, "plain");
+    let none = "env_steps = 1\nseeds = [0]\ntasks = [\"cue-2x1\"]\nvariants = []\n";
+    assert!(parse(none).unwrap_err().starts_with("variants must not be empty"));
 }
 
 #[test]

@@ -1,5 +1,7 @@
-//! Reports that simulated environments diverge: each such step ends an episode early, and a policy learns from what is left.
+//! Reports that simulated environments diverge: each such step ends an episode early, and a policy learns from what is left. Also
+//! reports that the update diverges: steps with a gradient that is not finite are skipped.
 
+use crate::observe::event::IterationReport;
 use crate::train::trainer::RunningTrainer;
 
 /// Share of an iteration's steps above which divergence is an error: few episodes reach their end.
@@ -9,6 +11,8 @@ const SEVERE: f64 = 0.01;
 #[derive(Debug, Default)]
 pub(super) struct Divergence {
     iterations: u64,
+    /// Whether a divergence of the update has been reported.
+    update_reported: bool,
 }
 
 /// How bad it is.
@@ -43,7 +47,35 @@ impl Divergence {
     }
 }
 
+/// The line about figures of an iteration that show a divergence of the update; `None` without one.
+fn instability(report: &IterationReport) -> Option<String> {
+    let shows = |(name, value): &&(String, f64)| {
+        let skipped = name.contains("skipped") && *value > 0.0;
+        skipped || name.ends_with("_loss") && !value.is_finite()
+    };
+    let mut figures = report.metrics.iter().filter(shows);
+    let (name, value) = figures.next()?;
+    let others = match figures.count() {
+        0 => String::new(),
+        count => format!(" and {count} others like it"),
+    };
+    let iteration = report.iteration;
+    Some(format!(
+        "the update diverges: after iteration {iteration} {name} is {value}{others} (metrics.jsonl); optimiser steps whose \
+         gradient is not finite are skipped; lower update.learning_rate, critic.learning_rate or influence.learning_rate"
+    ))
+}
+
 impl RunningTrainer {
+    /// Logs once that the update diverges.
+    pub(super) fn report_instability(&mut self, report: &IterationReport) {
+        let line = instability(report).filter(|_| !self.divergence.update_reported);
+        if let Some(line) = line {
+            tracing::warn!("{line}");
+            self.divergence.update_reported = true;
+        }
+    }
+
     /// Logs that simulated environments diverged in the iteration just finished.
     pub(super) fn report_divergence(&mut self) {
         let trainer = &self.trainer;
@@ -65,6 +97,28 @@ impl RunningTrainer {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn skipped_steps_and_losses_that_are_not_finite_show_a_divergence_of_the_update() {
+        let line = |metrics: &[(&str, f64)]| {
+            let metrics =
+                metrics.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
+            instability(&IterationReport { iteration: 3, metrics, ..IterationReport::default() })
+        };
+        let fine = [("losses/value_loss", 4e44), ("agent0/skipped_steps", 0.0)];
+        assert_eq!(line(&fine), None);
+        assert_eq!(line(&[("agent0/explained_variance", f64::NAN)]), None);
+        for (name, value, shown) in [
+            ("losses/value_skipped_steps", 498.0, "losses/value_skipped_steps is 498 ("),
+            ("losses/update_skipped", 1.0, "losses/update_skipped is 1 ("),
+            ("losses/value_loss", f64::NAN, "losses/value_loss is NaN ("),
+        ] {
+            let found = line(&[(name, value)]).unwrap();
+            assert!(found.contains(&format!("after iteration 3 {shown}")), "{found}");
+        }
+        let two = line(&[("agent0/skipped_steps", 1.0), ("agent1/skipped_steps", 2.0)]).unwrap();
+        assert!(two.contains("agent0/skipped_steps is 1 and 1 others like it"), "{two}");
+    }
 
     #[test]
     fn faults_are_reported_at_once_and_then_less_and_less_often() {
