@@ -49,7 +49,9 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
 
     def __init__(self, simulator: Simulator) -> None:
         self.simulator, self.task, self.num_envs = simulator, simulator.task, simulator.num_envs
-        self.metadata = {"name": self.task.name, "autoreset_mode": AutoresetMode.NEXT_STEP}
+        # Gymnasium's own environments have it in both places.
+        self.autoreset_mode = AutoresetMode.NEXT_STEP
+        self.metadata = {"name": self.task.name, "autoreset_mode": self.autoreset_mode}
         agents = self.task.agents
         self._features = _Columns([len(agent.features) for agent in agents])
         self._numbers = _Columns([agent.action_size for agent in agents])

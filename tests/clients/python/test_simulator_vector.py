@@ -33,7 +33,8 @@ def test_no_number_depends_on_the_number_of_threads(task):
 
 def test_spaces_have_an_axis_for_environments_and_one_for_agents():
     envs = s2mia.vector_env("ant-4x2", num_envs=3, threads=2)
-    assert isinstance(envs, VectorEnv) and envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    assert isinstance(envs, VectorEnv)
+    assert envs.metadata["autoreset_mode"] == envs.autoreset_mode == AutoresetMode.NEXT_STEP
     features = len(envs.task.agents[0].features)
     assert envs.observation_space.shape == (3, 4, features) and envs.action_space.shape == (3, 4, 2)
     assert envs.single_observation_space.shape == (4, features) and envs.single_action_space.shape == (4, 2)
