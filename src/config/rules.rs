@@ -135,8 +135,12 @@ pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let Some(rule) = TABLE.iter().find(|rule| rule.is_broken(run)) else { return Ok(()) };
     let conditions = [rule.refused].into_iter().chain(rule.with.iter().copied());
     let keys: Vec<&str> = conditions.filter_map(Condition::setting).collect();
-    let found = run.resolved.plain(keys[0]);
-    let detail = format!("{} = {found} is out of range: {}", keys[0], rule.allowed);
+    let key = keys[0];
+    let found = match run.resolved.entries.contains_key(key) {
+        true => format!("{key} = {} is out of range", run.resolved.plain(key)),
+        false => format!("{key} is not given"),
+    };
+    let detail = format!("{found}: {}", rule.allowed);
     Err(ConfigError::refused(run.resolved, &keys, &detail))
 }
 
@@ -160,9 +164,13 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
         within(key, replay.capacity, count.., &range)?;
         let range = format!("at most {key} = {}", replay.capacity);
         within(batch, replay.batch, ..=replay.capacity, &range)?;
-    } else if is_hasac {
-        let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
-        return Err(SettingError::new("update.rule", "hasac", others));
+    }
+    if training.hasac.is_some() != is_hasac {
+        let others = match is_hasac {
+            true => "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac",
+            false => "hasac with the settings of hasac; use another algorithm",
+        };
+        return Err(SettingError::new("update.rule", config.resolved.text("update.rule"), others));
     }
     if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
         let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);
@@ -199,7 +207,7 @@ mod tests {
         ),
         (&["cue-2x1", "influence.q_training=shared"], "influence.q_training = shared"),
         (&["algorithm=maddpg", "policy.noise=shared"], "policy.noise = shared"),
-        (&["algorithm=hasac", "policy.noise=shared"], "policy.noise_loading = none"),
+        (&["algorithm=hasac", "policy.noise=shared"], "policy.noise_loading is not given"),
         (&["cue-2x1", "policy.noise=shared"], "policy.noise = shared"),
         (&["influence.estimator=exact"], "influence.estimator = exact"),
         (
@@ -214,11 +222,12 @@ mod tests {
         assert_eq!(TABLE.len(), CASES.len());
         for (rule, (settings, value)) in TABLE.iter().zip(CASES) {
             let message = RunConfig::with(settings).expect_err("refused").to_string();
-            let expected = format!("{value} is out of range: {}", rule.allowed);
+            let range = format!(": {}", rule.allowed);
             assert!(
-                message.starts_with("command line: ") && message.ends_with(&expected),
+                message.starts_with("command line: ") && message.ends_with(&range),
                 "{message}"
             );
+            assert!(message.contains(value), "{message}");
         }
     }
 
@@ -264,6 +273,10 @@ mod tests {
                 &["update.rule=hasac"],
                 "command line: update.rule = hasac is out of range: happo, mappo or maddpg without the settings of hasac; use \
                  algorithm = hasac",
+            ),
+            (
+                &["algorithm=hasac", "update.rule=happo"],
+                "command line: update.rule = happo is out of range: hasac with the settings of hasac; use another algorithm",
             ),
             (
                 &["influence.q_training=shared", "influence.posterior_sigma_floor=0.5"],

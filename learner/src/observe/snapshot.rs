@@ -130,6 +130,11 @@ impl RunSnapshot {
         }
     }
 
+    /// Whether the run has its last line.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.lines.back().is_some_and(|line| line.end.is_some())
+    }
+
     /// Adds the run's last line: the newest one, or `first` if there is none, with the last evaluation.
     pub(crate) fn end(&mut self, end: RunEnd, first: RunLine) {
         let newest = self.lines.back().cloned().unwrap_or(first);
@@ -226,7 +231,9 @@ mod tests {
             [false, true, true]
         );
         run.observe(&evaluation(3));
+        assert!(!run.has_ended());
         run.end(RunEnd::Finished, RunLine::default());
+        assert!(run.has_ended());
         let last = &run.after(3)[0];
         assert_eq!((last.iteration, last.end), (3, Some(RunEnd::Finished)));
         assert_eq!(last.evaluation.map(|found| found.iteration), Some(3));
