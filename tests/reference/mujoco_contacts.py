@@ -90,6 +90,10 @@ def above(ground, place, shape, option="", sections=""):
     return document(f"{ground}<body {place}><freejoint/>{shape}</body>", option, "", sections)
 
 
+EGG = '<geom type="ellipsoid" size="0.15 0.1 0.05" pos="0 0 1"/>'
+DRUM = '<geom type="cylinder" size="0.1 0.1" pos="0 0 1" euler="0.8 0.2 0"/>'
+ROD = '<geom type="capsule" size="0.04 0.1" mass="1"/>'
+
 FINGER = (
     '<body name="palm" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>'
     '<geom name="palm" type="capsule" size="0.03" fromto="0 0 0 0.3 0 0" mass="1"/>'
@@ -189,6 +193,10 @@ MODELS = {
         ),
         None,
     ),
+    "capsule on an ellipsoid": (above(EGG, 'pos="0.05 0.02 1.12" euler="0 1.4 0.3"', ROD), None),
+    "capsule on a tilted cylinder": (above(DRUM, 'pos="0.02 0.01 1.22" euler="0 1.4 0.3"', ROD), None),
+    "cylinder on an ellipsoid": (above(EGG, 'pos="0.03 0.02 1.16" euler="0.8 0.4 0.3"', ROD.replace("capsule", "cylinder")), None),
+    "capsule on a height field": (in_air('pos="0.12 0.06 1.2" euler="0.5 1.2 0.3"', ROD), None),
     "bar of a mesh on the floor": (
         above(
             "",

@@ -23,6 +23,8 @@ pub(crate) struct Blueprint {
     pub(crate) gravity: Vector,
     /// MuJoCo's integrator for the model.
     pub(crate) integration: Integration,
+    /// Whether MuJoCo's integrator takes implicit forces of servos and tendons.
+    pub(crate) is_implicit: bool,
     /// A fluid that acts on the bodies.
     pub(crate) fluid: Option<Fluid>,
     /// Shapes that are fixed to the world and can touch the robot, in the order of the model.
@@ -259,6 +261,11 @@ impl MotorPlan {
 }
 
 impl Hinge {
+    /// Whether it is one of the rotations of a ball joint.
+    pub(crate) fn turns_ball(&self) -> bool {
+        self.motion == Motion::Ball
+    }
+
     /// Whether it is a slide.
     pub(crate) fn is_slide(&self) -> bool {
         self.motion == Motion::Translation

@@ -20,6 +20,8 @@ use crate::scene::{Hull, Shape};
 
 /// Tilt of a cylinder's end, as a sine, below which its contacts keep their places.
 const LEVEL: f32 = 0.02;
+/// Cosine of the angle to the normal of a face, 0.01 rad, up to which a face touches as a whole.
+const ON_FACE: f32 = 0.99995;
 /// Corners of a hull that are at most this fraction of its size above its lowest corner may touch together with it.
 const TOGETHER: f32 = 0.01;
 
@@ -202,6 +204,26 @@ impl Convex {
         }
     }
 
+    /// Whether it is an ellipsoid or a cylinder.
+    pub(crate) fn is_round(&self) -> bool {
+        matches!(self.form, Form::Ellipsoid(_) | Form::Cylinder(_))
+    }
+
+    /// Whether a direction in the link's frame is that of a face.
+    pub(crate) fn has_face(&self, along: Vector) -> bool {
+        let inside = self.pose.rotation.inverse() * along;
+        match &self.form {
+            Form::Box(_) => inside.abs().max_element() > ON_FACE,
+            Form::Cylinder(_) => inside.z.abs() > ON_FACE,
+            Form::Ellipsoid(_) | Form::Prism(_) => false,
+            Form::Hull(hull, _) => hull.triangles.iter().any(|corners| {
+                let [a, b, c] =
+                    corners.map(|corner| Vector::from_array(hull.points[corner as usize]));
+                (b - a).cross(c - a).normalize_or_zero().dot(inside) > ON_FACE
+            }),
+        }
+    }
+
     /// Whether it is a hull.
     pub(crate) fn is_hull(&self) -> bool {
         matches!(self.form, Form::Hull(..))
@@ -215,20 +237,21 @@ impl SupportMap for Convex {
             Form::Box(half) => {
                 let (half, along) = (half.to_array(), inside.to_array());
                 let end = |axis: usize| if along[axis] < 0.0 { -half[axis] } else { half[axis] };
-                return self.pose * Vector::from_array([0, 1, 2].map(end));
+                self.pose * Vector::from_array([0, 1, 2].map(end))
             }
-            Form::Hull(hull, _) => return self.pose * farthest(&hull.points, inside),
-            Form::Prism(points) => return self.pose * farthest(points, inside),
-            Form::Cylinder(_) | Form::Ellipsoid(_) => {}
+            Form::Hull(hull, _) => self.pose * farthest(&hull.points, inside),
+            Form::Prism(points) => self.pose * farthest(points, inside),
+            Form::Cylinder([half, radius]) => {
+                let aside = (inside.x * inside.x + inside.y * inside.y).sqrt();
+                let scale = if aside > 0.0 { radius / aside } else { 0.0 };
+                let end = half.copysign(inside.z);
+                self.pose * Vector::new(scale * inside.x, scale * inside.y, end)
+            }
+            Form::Ellipsoid(half) => {
+                let stretched = *half * inside;
+                self.pose * (*half * stretched / stretched.length())
+            }
         }
-        let mut best = (Vector::ZERO, f32::NEG_INFINITY);
-        self.corners(inside, |corner, _| {
-            let height = corner.dot(inside);
-            if height > best.1 {
-                best = (corner, height);
-            }
-        });
-        self.pose * best.0
     }
 }
 

@@ -19,6 +19,7 @@ mod motion;
 mod near;
 mod points;
 mod problem;
+mod round;
 mod rows;
 mod runge_kutta;
 
@@ -37,6 +38,8 @@ use runge_kutta::RungeKutta;
 /// The constraints of one robot, and memory for a step.
 pub(crate) struct Constraints {
     integration: Integration,
+    /// Whether forces of servos and tendons on several hinges are implicit, too.
+    is_implicit: bool,
     step_secs: f64,
     touching: Touching,
     start: Motion,
@@ -57,6 +60,8 @@ impl Constraints {
     pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
         Self {
             integration: robot.blueprint.integration,
+            is_implicit: robot.blueprint.is_implicit
+                && robot.blueprint.integration == Integration::Euler,
             step_secs: f64::from(step_secs),
             touching: Touching::new(robot),
             start: Motion::default(),
@@ -156,8 +161,31 @@ impl Constraints {
             }
             self.problem.pull[index] -= damping * speed;
         }
+        if self.is_implicit {
+            self.add_shared_dampings(layout, drives);
+        }
         for (hinge, torque) in layout.hinges.iter().zip(drives.torques()) {
             self.problem.pull[hinge.dof] += f64::from(hinge.plan.axis.sign * torque);
+        }
+    }
+
+    /// Adds to the implicit mass what dampings of several hinges do to each other, as in MuJoCo only along a chain of links.
+    fn add_shared_dampings(&mut self, layout: &Layout, drives: &HingeDrives) {
+        let size = self.start.speeds.len();
+        for (moved, damping) in drives.shared_dampings() {
+            let levers = moved.0.iter().map(|(index, factor)| {
+                let hinge = &layout.hinges[*index];
+                (hinge.dof, f64::from(hinge.plan.axis.sign * factor))
+            });
+            let change = self.step_secs * f64::from(damping);
+            for (row, lever) in levers.clone() {
+                let others = levers.clone().filter(|(column, _)| *column <= row);
+                for (column, other) in
+                    others.filter(|(column, _)| self.start.share_link(row, *column))
+                {
+                    self.implicit_mass.matrix[row * size + column] += change * lever * other;
+                }
+            }
         }
     }
 

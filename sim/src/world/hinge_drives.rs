@@ -6,7 +6,9 @@
 
 use rapier3d::dynamics::Multibody;
 
-use crate::robot::{Blueprint, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan};
+use crate::robot::{
+    Blueprint, Combination, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan,
+};
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
 const WEAK_SPRING: f32 = 0.01;
@@ -41,6 +43,10 @@ struct Motor {
     start: f32,
     /// Mean rate of the stages of the step until now, 1/s.
     mean_rate: f32,
+    /// Position of a whole turn, if it is a servo of the position of a ball joint.
+    turn: Option<f32>,
+    /// Whether its range limits its force.
+    is_limited: bool,
 }
 
 /// Drive of one hinge. Angles, speeds and torques have the model's sign.
@@ -64,6 +70,16 @@ struct Drive {
     free_acceleration: f32,
     /// Limit in this step.
     limit: Limit,
+}
+
+/// The position of a whole turn of a ball joint, if the actuator is a servo of it.
+fn whole_turn(plan: &MotorPlan, layout: &Layout) -> Option<f32> {
+    let servo = plan.servo?;
+    let (first, _) = plan.moved.0.first()?;
+    let is_on_ball = plan.tendon.is_none() && layout.hinges[*first].plan.turns_ball();
+    let is_servo = servo.gain != 0.0 && servo.gain == -servo.bias[1];
+    let gear: f32 = plan.moved.0.iter().map(|(_, factor)| factor * factor).sum();
+    (is_on_ball && is_servo).then(|| std::f32::consts::TAU * plan.gear.abs() * gear.sqrt())
 }
 
 /// Effect of a limit in a step; all zero while it is inactive.
@@ -105,6 +121,8 @@ impl HingeDrives {
                     rate: 0.0,
                     start: 0.0,
                     mean_rate: 0.0,
+                    turn: whole_turn(plan, layout),
+                    is_limited: false,
                 };
                 blueprint.motors.iter().map(still).collect()
             },
@@ -206,6 +224,18 @@ impl HingeDrives {
         self.drives.iter().map(|drive| drive.applied)
     }
 
+    /// Damping of several hinges together, N s / m or N m s / rad of what moves them: of tendons, and of servos that no range
+    /// limits. It is a part of [`Self::torques`].
+    pub(super) fn shared_dampings(&self) -> impl Iterator<Item = (&Combination, f32)> {
+        let motors = self.motors.iter().filter(|motor| !motor.is_limited).map(|motor| &motor.plan);
+        let servos =
+            motors.filter(|motor| motor.moved.only_hinge().is_none()).filter_map(|motor| {
+                Some((&motor.moved, -motor.gear * motor.gear * motor.servo?.bias[2]))
+            });
+        let tendons = self.tendons.iter().map(|tendon| (&tendon.moved, tendon.damping));
+        servos.chain(tendons).filter(|(_, damping)| *damping != 0.0)
+    }
+
     /// Torques of the motors in the last physics step, in the model's direction, N m.
     pub(super) fn efforts(&self) -> impl Iterator<Item = f32> {
         self.drives.iter().map(|drive| drive.effort)
@@ -227,7 +257,8 @@ impl HingeDrives {
     fn actuate(&mut self, hinges: &[HingeMap]) {
         let Self { motors, tendons, drives, .. } = self;
         for motor in motors {
-            let input = motor.input(self.step_secs);
+            let mut input = motor.input(self.step_secs);
+            let (turn, is_limited) = (motor.turn, &mut motor.is_limited);
             let motor = &motor.plan;
             let Some(servo) = motor.servo else {
                 for (hinge, factor) in motor.moved.0.iter() {
@@ -236,10 +267,15 @@ impl HingeDrives {
                 continue;
             };
             let position = motor.gear * motor.moved.sum(|hinge| drives[hinge].angle);
+            if let Some(turn) = turn {
+                // As in MuJoCo, it turns the shorter way.
+                input -= turn * ((input - position) / turn).round();
+            }
             let speed = motor.gear * motor.moved.sum(|hinge| drives[hinge].speed);
             let [constant, stiffness, slope] = servo.bias;
             let force = servo.gain * input + constant + stiffness * position + slope * speed;
             let limited = servo.range.map_or(force, |[low, high]| force.clamp(low, high));
+            *is_limited = limited != force;
             let only = motor.moved.only_hinge().filter(|_| limited == force);
             if let Some(hinge) = only {
                 drives[hinge].damping -= motor.gear * motor.gear * slope;

@@ -113,6 +113,11 @@ impl Motion {
         }));
     }
 
+    /// Whether two velocities move a link together.
+    pub(super) fn share_link(&self, one: usize, other: usize) -> bool {
+        self.links.iter().any(|link| link.dofs.contains(&one) && link.dofs.contains(&other))
+    }
+
     /// Computes the branches.
     fn gather(&mut self) {
         for link in &mut self.links {

@@ -8,6 +8,7 @@ use rapier3d::parry::query::{
 };
 use rapier3d::parry::shape::{PackedFeatureId, SupportMap as _};
 
+use super::round::{keep_deepest, sharpen};
 use crate::robot::{Convex, GroundForm};
 
 /// Points of contact that are nearer to each other are one, m.
@@ -34,6 +35,9 @@ pub(super) fn touch(
     // The engine has no contacts for a plane with another plane, which do not meet.
     let _ =
         DefaultQueryDispatcher.contact_manifolds(between, one, other, margin, manifolds, &mut None);
+    for manifold in manifolds {
+        sharpen([one, other], between, margin, manifold);
+    }
 }
 
 /// The corners of a hull that touch a plane, at most four of those below it.
@@ -62,18 +66,19 @@ pub(super) fn touch_field(
     let bounds = shape.shape().compute_aabb(between).loosened(margin);
     let deepest = |corners: [[f32; 3]; 6]| {
         let mut manifold = ContactManifold::new();
+        let prism = Convex::prism(corners);
         // A plane does not move, so it meets no height field.
         let _ = DefaultQueryDispatcher.contact_manifold_convex_convex(
             between,
-            &Convex::prism(corners),
+            &prism,
             shape.shape(),
             None,
             None,
             margin,
             &mut manifold,
         );
-        manifold.points.sort_by(|one, other| one.dist.total_cmp(&other.dist));
-        manifold.points.truncate(1);
+        sharpen([&prism, shape.shape()], between, margin, &mut manifold);
+        keep_deepest(&mut manifold);
         manifold.points.iter().any(|point| point.dist < margin).then_some(manifold)
     };
     let prisms = field.prisms(bounds.mins, bounds.maxs);
