@@ -185,9 +185,27 @@ MOTIONS = {
     "a limit of a ball joint": (
         BALLS.format(limit=' range="0 0.4" margin="0.05" solreflimit="0.05 0.9"'),
         [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),
+    "a servo of a ball joint that turns the shorter way": (
+        BALLS.format(limit="").replace('gear="0 2 0"', 'gear="0 0.2 0.1"'), [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.9, -0.4], 300),
+    "implicit speed terms of a ball joint": (
+        BALLS.format(limit="").replace('kp="0.2" gear', 'kp="0.2" kv="0.3" gear').replace('"0.001"', '"0.004"'),
+        [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 75),
+    "implicit damping of tendons": (
+        FINGERS.format(tendon=' damping="20" stiffness="30"', sections=HOLD.replace("30", "60").replace("0.8", "2")).replace(
+            'timestep="0.001"', 'timestep="0.004" integrator="implicitfast"'), [], [0.8], 75),
     "welds": (WELDS.format(relpose=""), [*SPIN, 2, 3, -2, 1], [0.5], 300),
     "a weld in another pose": (
         WELDS.format(relpose='relpose="0.3 0.02 0.1 1 0.1 -0.3 0.2" solref="0.1 1"'), [*SPIN, 2, 3, -2, 1], [0.5], 300),
+    "a connection and a weld of sites": (
+        WELDS.replace('mass="0.2"/>', 'mass="0.2"/><site name="p" pos="0.1 0.02 0" euler="0.2 0 0.1"/>')
+        .replace('pos="0 0.1 0"/>', 'pos="0 0.1 0"/><site name="q" pos="-0.1 0 0.05"/>')
+        .replace('<weld body1="c" body2="d" anchor="-0.1 0 0.05" torquescale="0.2" {relpose}/>', '<weld site1="p" site2="q" torquescale="0.2" solref="0.1 1"/>')
+        .replace('<weld body1="a" solref="0.05 0.8" solimp="0.5 0.9 0.02"/>', '<connect site1="o" site2="s"/>')
+        .replace('<body name="a"', '<site name="s" pos="0.02 0 1.1"/><body name="a"')
+        .replace('<freejoint/>', '<freejoint/><site name="o" pos="0 0 0.1"/>'), [*SPIN, 2, 3, -2, 1], [0.5], 300),
+    "a weld to a mocap body": (
+        WELDS.format(relpose="").replace('<weld body1="a"', '<weld body1="m" body2="a"')
+        .replace('<body name="a"', '<body name="m" mocap="true" pos="0.1 0 1.2"/><body name="a"'), [*SPIN, 2, 3, -2, 1], [0.5], 300),
     "activations": (
         ARM.format(body="", joint="", sections="""<actuator>
           <position joint="j1" kp="20" timeconst="0.1" ctrlrange="-1 1"/>

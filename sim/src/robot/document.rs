@@ -68,6 +68,11 @@ impl Element {
         format!("{place}<{}{name}>", self.tag)
     }
 
+    /// Included file that the element is in; `None` for the document itself.
+    pub(super) fn file(&self) -> Option<&str> {
+        self.place.as_ref()?.file.as_deref()
+    }
+
     /// The element without its children.
     pub(super) fn alone(&self) -> Self {
         Self { stated: self.stated.clone(), ..self.with(self.attributes.clone()) }

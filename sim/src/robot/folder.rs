@@ -67,21 +67,39 @@ impl<'a> Folder<'a> {
         self.content(&path).and_then(|bytes| text(&path, bytes))
     }
 
-    /// Path and text of a file that the document includes.
-    pub(super) fn read_document(&mut self, name: &str) -> Result<(String, String), String> {
-        let (path, bytes) = self.read("", name)?;
+    /// Path and text of a document that an element of the file `stated_in` names; `None` for the document itself.
+    pub(super) fn read_document(
+        &mut self,
+        name: &str,
+        stated_in: Option<&str>,
+    ) -> Result<(String, String), String> {
+        let (path, bytes) = self.read("", name, stated_in)?;
         text(&path, bytes).map(|text| (path, text))
     }
 
-    /// Path and content of a file that the document names, in the folder `subfolder` next to the document.
+    /// Path and content of a file that an element of the file `stated_in` names, in the folder `subfolder` next to the document,
+    /// or without a subfolder next to that file.
     pub(super) fn read(
         &mut self,
         subfolder: &str,
         name: &str,
+        stated_in: Option<&str>,
     ) -> Result<(String, Vec<u8>), String> {
         [subfolder, name].into_iter().try_for_each(check_relative)?;
-        let own = self.path.rsplit_once('/').map_or("", |(folder, _)| folder);
-        let parts = [own, subfolder, name].into_iter().filter(|part| !part.is_empty());
+        let own = folder_of(&self.path).to_owned();
+        let found = self.read_from([&own, subfolder, name]);
+        let beside =
+            stated_in.map(folder_of).filter(|beside| subfolder.is_empty() && *beside != own);
+        match (found, beside) {
+            (Err(reason), Some(beside)) => self
+                .read_from([beside, "", name])
+                .map_err(|other| format!("{reason}, and beside the file that names it: {other}")),
+            (found, _) => found,
+        }
+    }
+
+    fn read_from(&mut self, parts: [&str; 3]) -> Result<(String, Vec<u8>), String> {
+        let parts = parts.into_iter().filter(|part| !part.is_empty());
         let path = resolved(&parts.collect::<Vec<_>>().join("/"))?;
         let bytes = self.content(&path)?;
         Ok((path, bytes))
@@ -110,12 +128,16 @@ impl<'a> Folder<'a> {
     }
 }
 
+fn folder_of(path: &str) -> &str {
+    path.rsplit_once('/').map_or("", |(folder, _)| folder)
+}
+
 /// Text of an MJCF file.
 fn text(path: &str, bytes: Vec<u8>) -> Result<String, String> {
     if bytes.len() > LARGEST_DOCUMENT {
         return Err(format!("{path} has {} bytes, at most {LARGEST_DOCUMENT}", bytes.len()));
     }
-    String::from_utf8(bytes).map_err(|_| format!("{path} is not UTF-8 text"))
+    String::from_utf8(bytes).map_err(|_| format!("{path} is not UTF-8 text; save it as UTF-8"))
 }
 
 fn check_relative(path: &str) -> Result<(), String> {
@@ -146,15 +168,33 @@ fn resolved(path: &str) -> Result<String, String> {
 mod tests {
     use super::*;
 
+    /// Only beside the file that names it, or beside the document, which counts first.
+    #[test]
+    fn a_file_is_beside_the_document_or_the_file_that_names_it() {
+        let source = |path: &str| match path {
+            "a.xml" | "b/a.xml" | "b/c.xml" | "m/b.stl" => Ok(path.as_bytes().to_vec()),
+            _ => Err(format!("{path} does not exist")),
+        };
+        let mut folder = Folder::new("robot.xml", &source).unwrap();
+        let mut read = |subfolder, name| folder.read(subfolder, name, Some("b/include.xml"));
+        assert_eq!(read("", "a.xml").unwrap().0, "a.xml");
+        assert_eq!(read("", "c.xml").unwrap().0, "b/c.xml");
+        assert_eq!(read("", "../m/b.stl").unwrap().0, "m/b.stl");
+        let both =
+            "d.xml does not exist, and beside the file that names it: b/d.xml does not exist";
+        assert_eq!(read("", "d.xml").unwrap_err(), both);
+        assert_eq!(read("m", "c.xml").unwrap_err(), "m/c.xml does not exist");
+    }
+
     #[test]
     fn a_path_stays_inside_the_folder() {
         assert_eq!(resolved("a/./b/../c.stl").unwrap(), "a/c.stl");
         assert!(resolved("a/../../c.stl").unwrap_err().contains("leaves the model's folder"));
         let source = |path: &str| Ok(path.as_bytes().to_vec());
         let mut folder = Folder::new("robots/arm.xml", &source).unwrap();
-        assert_eq!(folder.read("../meshes", "hand.stl").unwrap().0, "meshes/hand.stl");
-        assert!(folder.read("", "/etc/hand.stl").unwrap_err().contains("absolute path"));
-        assert!(folder.read("../..", "hand.stl").is_err());
+        assert_eq!(folder.read("../meshes", "hand.stl", None).unwrap().0, "meshes/hand.stl");
+        assert!(folder.read("", "/etc/hand.stl", None).unwrap_err().contains("absolute path"));
+        assert!(folder.read("../..", "hand.stl", None).is_err());
         let refusal = |document| Folder::new(document, &source).err().unwrap();
         assert!(refusal("/robots/arm.xml").contains("absolute path"));
         assert!(refusal("../arm.xml").contains("leaves the model's folder"));

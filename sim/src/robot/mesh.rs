@@ -107,7 +107,8 @@ impl Mesh {
             ));
         }
         let flat = || {
-            "its points do not span a volume; check its `scale`, and its `vertex` or file"
+            "its points do not span a volume; check its `scale`, and its `vertex` or file, or \
+                remove the shapes that it has"
                 .to_owned()
         };
         let (points, triangles) = try_convex_hull(&points).map_err(|_| flat())?;

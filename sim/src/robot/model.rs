@@ -15,9 +15,9 @@ mod keyframes;
 mod links;
 mod meshes;
 mod options;
+mod replicate;
 
 use super::blueprint::{Blueprint, Law, MotorPlan};
-use super::coupling::TendonPlan;
 use super::document::Element;
 use super::fluid::Fluid;
 use super::folder::Folder;
@@ -28,10 +28,11 @@ use geoms::Geom;
 
 /// Reads an MJCF document and the files of `folder` that it needs.
 pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, String> {
-    let root = Element::parse(mjcf, folder)?;
+    let mut root = Element::parse(mjcf, folder)?;
+    replicate::expand(&mut root, folder)?;
     let (mut context, mut left_out) = Context::read(&root)?;
     for model in root.all("asset").flat_map(|section| section.all("model")) {
-        let read = model.text("file").map(|name| folder.read_document(name));
+        let read = model.text("file").map(|name| folder.read_document(name, model.file()));
         let read = read.unwrap_or_else(|| Err("it has no `file`; add one".to_owned()));
         context.blockers.keep(read.map_err(|reason| model.refuse(reason)));
     }
@@ -46,7 +47,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let keyframes = keyframes::read(&root, &context.blockers);
     let contacts = contacts::read(&root, &context, &bodies, (&links.plans, &grounds));
     context.blockers.finish()?;
-    left_out.extend(differences(&context, &motors, &tendons));
+    left_out.extend(differences(&context, &motors));
     let fluid = Some(context.options.fluid).filter(Fluid::acts);
     if fluid.is_some()
         && bodies.iter().flat_map(|body| &body.geoms).any(Geom::is_ellipsoid_in_fluid)
@@ -57,6 +58,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         timestep_secs: context.options.timestep_secs,
         gravity: context.options.gravity,
         integration: context.options.integration,
+        is_implicit: context.options.is_implicit,
         fluid,
         grounds,
         contacts,
@@ -73,8 +75,8 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     })
 }
 
-/// What MuJoCo computes otherwise of meshes, fluids and the speed terms of actuators and tendons.
-fn differences(context: &Context, motors: &[MotorPlan], tendons: &[TendonPlan]) -> Vec<String> {
+/// What MuJoCo computes otherwise of meshes, fluids and the speed terms of actuators.
+fn differences(context: &Context, motors: &[MotorPlan]) -> Vec<String> {
     let mut found = Vec::new();
     let count = context.meshes.beyond_limit();
     if count > 0 {
@@ -85,20 +87,14 @@ fn differences(context: &Context, motors: &[MotorPlan], tendons: &[TendonPlan]) 
     }
     let has_speed_term = |motor: &MotorPlan| motor.servo.is_some_and(|own| own.bias[2] != 0.0);
     let damped = motors.iter().filter(|motor| has_speed_term(motor));
-    let (on_tendons, on_joints): (Vec<_>, Vec<_>) = damped.partition(|own| own.tendon.is_some());
+    let count = damped.filter(|motor| motor.moved.only_hinge().is_some()).count();
     let is_implicit = context.options.is_implicit;
-    if !is_implicit && !on_joints.is_empty() {
+    if !is_implicit && count > 0 {
         let what = "the speed terms of servos are implicit, as with integrator=\"implicitfast\"";
-        found.push(format!("{what}: {} actuators", on_joints.len()));
+        found.push(format!("{what}: {count} actuators"));
     }
     if is_implicit && context.options.fluid.acts() {
         found.push("the forces of the fluid are explicit, as with integrator=\"Euler\"".to_owned());
-    }
-    let has_damping = tendons.iter().any(|tendon| tendon.damping != 0.0);
-    if is_implicit && (has_damping || !on_tendons.is_empty()) {
-        let what =
-            "the damping of tendons and their servos is explicit, as with integrator=\"Euler\"";
-        found.push(what.to_owned());
     }
     found
 }

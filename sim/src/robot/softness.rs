@@ -80,11 +80,11 @@ impl Softness {
     }
 
     /// Why MuJoCo has no spring for these two numbers, if it has none.
-    pub(super) fn check([first, second]: [f64; 2]) -> Result<(), String> {
-        if (first > 0.0) == (second > 0.0) {
+    pub(super) fn check(name: &str, [first, second]: [f64; 2]) -> Result<(), String> {
+        if first != 0.0 && (first > 0.0) == (second > 0.0) {
             return Ok(());
         }
-        Err("the two numbers of its `solref` must both be positive, or both negative".to_owned())
+        Err(format!("the two numbers of its `{name}` must both be positive, or both negative"))
     }
 
     /// Whether it is critically damped and has MuJoCo's default curve of the impedance.

@@ -84,7 +84,8 @@ impl Surface {
         if ![1, 3, 4, 6].contains(&surface.dimensions) {
             return Err(element.refuse_for("condim", "`condim` must be 1, 3, 4 or 6"));
         }
-        Softness::check(surface.solref).map_err(|reason| element.refuse_for("solref", reason))?;
+        Softness::check("solref", surface.solref)
+            .map_err(|reason| element.refuse_for("solref", reason))?;
         Ok(surface)
     }
 

@@ -15,7 +15,7 @@ pub(super) const KINDS: [&str; 9] = [
     "adhesion",
 ];
 /// Attributes of all kinds.
-const COMMON: [&str; 17] = [
+const COMMON: [&str; 18] = [
     "name",
     "class",
     "joint",
@@ -33,6 +33,8 @@ const COMMON: [&str; 17] = [
     "forcelimited",
     "group",
     "user",
+    // Of muscles, which are refused.
+    "lengthrange",
 ];
 /// Attributes of a law.
 const GENERAL: [&str; 7] =

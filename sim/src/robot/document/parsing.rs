@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use roxmltree::{Document, Node, ParsingOptions};
+use roxmltree::{Document, Error, Node, ParsingOptions};
 
 use super::super::folder::Folder;
 use super::super::nesting::deepest;
@@ -120,7 +120,10 @@ fn parsed(text: &str) -> Result<Document<'_>, String> {
     }
     let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
     let parsed = Document::parse_with_options(text, options);
-    parsed.map_err(|error| format!("it must be valid XML without a DTD: {error}"))
+    parsed.map_err(|error| match error {
+        Error::DtdDetected => "a DTD is not supported; remove it".to_owned(),
+        error => format!("it must be valid XML: {error}"),
+    })
 }
 
 fn too_deep() -> String {
@@ -140,7 +143,8 @@ fn included(
     if files().count() > DEEPEST_INCLUDE {
         return Err(include.refuse(format!("files are included more than {DEEPEST_INCLUDE} deep")));
     }
-    let (path, text) = folder.read_document(name).map_err(|error| include.refuse(error))?;
+    let (path, text) =
+        folder.read_document(name, include.file()).map_err(|error| include.refuse(error))?;
     if files().any(|file| file.file.as_deref().unwrap_or(&folder.path) == path) {
         return Err(include.refuse(format!("{path} includes itself; remove one <include>")));
     }

@@ -13,7 +13,7 @@ use super::options::{MassSource, Options};
 use crate::error::short;
 
 /// Elements in a body that have no effect on the motion.
-const SKIPPED: [&str; 3] = ["site", "camera", "light"];
+const SKIPPED: [&str; 2] = ["camera", "light"];
 
 /// Most velocities of a model; the costs of a step grow with their third power.
 const MOST_VELOCITIES: usize = 300;
@@ -37,6 +37,8 @@ pub(super) struct Body {
     /// Joints, and the frames in the body in which they are stated.
     pub(super) joints: Vec<(Element, Frame)>,
     pub(super) geoms: Vec<Geom>,
+    /// Names of the sites that equalities connect, and their frames in the body.
+    pub(super) sites: Vec<(String, Frame)>,
     inertial: Option<(Element, Frame)>,
     /// Whether all its parts could be read.
     pub(super) is_whole: bool,
@@ -92,6 +94,7 @@ fn new_body(element: &Element, name: String, parent: usize, frame: Frame) -> Bod
         carried: 0.0,
         joints: Vec::new(),
         geoms: Vec::new(),
+        sites: Vec::new(),
         inertial: None,
         is_whole: true,
     }
@@ -142,6 +145,18 @@ fn add_part(
             let childclass = child.text("childclass").or(childclass);
             fill(bodies, own, child, (childclass, frame), context);
         }
+        "site" => {
+            let name = child.text("name").filter(|name| context.connected.contains(*name));
+            let Some(name) = name else { return Ok(()) };
+            let site = context.classes.resolve(child, childclass)?;
+            if site.text("fromto").is_some() {
+                return Err(
+                    site.refuse("`fromto` of a connected site is not supported; state `pos`")
+                );
+            }
+            let frame = frame.then(&context.options.angles.frame(&site)?);
+            bodies[own].sites.push((name.to_owned(), frame));
+        }
         tag if SKIPPED.contains(&tag) => {}
         _ => return Err(child.refuse("this element is not supported; remove it")),
     }
@@ -165,21 +180,7 @@ fn add_body(
     bodies.push(body);
     let childclass = element.text("childclass").or(childclass);
     fill(bodies, index, element, (childclass, IDENTITY), context);
-    if is_marker(element)? {
-        let marker = bodies.split_off(index);
-        let touches = |geom: &&Geom| context.options.has_contacts && geom.collides();
-        if let Some(geom) = marker.iter().flat_map(|body| &body.geoms).find(touches) {
-            let reason = "a mocap body is skipped, so nothing may touch it: set contype=\"0\" and \
-                conaffinity=\"0\"";
-            return Err(geom.element.refuse(reason));
-        }
-    }
     Ok(())
-}
-
-/// Whether a body is a mocap body, which marks a place and is skipped with all bodies in it.
-pub(super) fn is_marker(body: &Element) -> Result<bool, String> {
-    Ok(body.flag("mocap")? == Some(true))
 }
 
 /// Mass and inertia that `inertial` states, in the body's frame; `None` if those of the shapes count.

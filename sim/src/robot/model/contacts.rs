@@ -43,43 +43,19 @@ pub(super) fn read(
     }
     rules.pairs.sort_by_key(|pair| pair.shapes);
     for element in of(root, "exclude") {
-        let excluded = exclusion(element, root, bodies);
-        rules.excluded.extend(context.blockers.keep(excluded).flatten());
+        rules.excluded.extend(context.blockers.keep(exclusion(element, context, bodies)));
     }
     rules
 }
 
-/// Bodies that do not touch; `None` if one is a marker, which is skipped.
-fn exclusion(
-    element: &Element,
-    root: &Element,
-    bodies: &[Body],
-) -> Result<Option<[usize; 2]>, String> {
+/// Bodies that do not touch.
+fn exclusion(element: &Element, context: &Context, bodies: &[Body]) -> Result<[usize; 2], String> {
     element.only(&[&["name", "body1", "body2"]])?;
     let body = |key: &str| {
-        let name = element.text(key);
-        let name = name.ok_or_else(|| element.refuse(format!("it must have `{key}`; add it")))?;
-        let index = bodies.iter().position(|body| body.name == name);
-        if index.is_none() && !is_skipped(root, name) {
-            let known = bodies.iter().map(|body| body.name.as_str());
-            return Err(element.refuse_name(key, "body", known));
-        }
-        Ok(index)
+        context.index(element, key, ("body", bodies.iter().map(|body| body.name.as_str())))
     };
     let [one, other] = [body("body1")?, body("body2")?];
-    Ok(one.zip(other).map(|(one, other)| [one.min(other), one.max(other)]))
-}
-
-/// Whether a body with this name, which is none of those that were read, is in the document.
-pub(super) fn is_skipped(root: &Element, name: &str) -> bool {
-    root.all("worldbody").any(|world| states_body(world, name))
-}
-
-/// Whether a body inside this element has the name.
-fn states_body(element: &Element, name: &str) -> bool {
-    element.children.iter().any(|child| {
-        (child.tag == "body" && child.text("name") == Some(name)) || states_body(child, name)
-    })
+    Ok([one.min(other), one.max(other)])
 }
 
 fn pair(
@@ -117,7 +93,7 @@ fn stated(
 ) -> Result<ContactPlan, String> {
     let (solref, solimp) = one.softness(other);
     let solref = element.padded("solref", solref)?;
-    Softness::check(solref).map_err(|reason| element.refuse(reason))?;
+    Softness::check("solref", solref).map_err(|reason| element.refuse(reason))?;
     let dimensions = element.integer("condim", contact.dimensions as i64)?;
     let friction = element.padded("friction", contact.friction)?;
     let margin = element.number("margin", 0.0)?;

@@ -22,6 +22,8 @@ pub(super) struct Context {
     pub(super) paired: BTreeSet<String>,
     /// Names of the joints on which actuators, tendons and equalities act.
     pub(super) driven: BTreeSet<String>,
+    /// Names of the sites that equalities connect.
+    pub(super) connected: BTreeSet<String>,
     /// All names in the document.
     names: BTreeSet<String>,
     /// What cannot be built.
@@ -48,9 +50,13 @@ impl Context {
             .iter()
             .flat_map(|tag| root.all(tag))
             .for_each(|own| collect(own, &JOINTS, &mut driven));
+        let mut connected = BTreeSet::new();
+        let sites = ["site1", "site2"];
+        root.all("equality").for_each(|own| collect(own, &sites, &mut connected));
         let mut names = BTreeSet::new();
         collect(root, &["name"], &mut names);
-        let context = Self { classes, options, meshes, fields, paired, driven, names, blockers };
+        let context =
+            Self { classes, options, meshes, fields, paired, driven, connected, names, blockers };
         Ok((context, left_out))
     }
 

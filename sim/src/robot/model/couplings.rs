@@ -9,7 +9,6 @@ use super::super::coupling::{
 use super::super::document::Element;
 use super::super::frame::{Frame, normalized, vector};
 use super::bodies::Body;
-use super::contacts::is_skipped;
 use super::context::Context;
 use super::joints;
 use super::links::Links;
@@ -44,6 +43,7 @@ const EQUALITY: [&str; 11] = [
 ];
 const CONNECTION: [&str; 9] =
     ["name", "class", "active", "solref", "solimp", "body1", "body2", "anchor", "user"];
+const SITES: [&str; 8] = ["name", "class", "active", "solref", "solimp", "site1", "site2", "user"];
 const WELD: [&str; 2] = ["relpose", "torquescale"];
 /// Terms that act on a spatial tendon.
 const PASSIVE: [&str; 5] = ["stiffness", "damping", "frictionloss", "range", "armature"];
@@ -149,7 +149,7 @@ pub(super) fn connections(
     links: &Links<'_>,
 ) -> Vec<ConnectionPlan> {
     let elements = active(root, context).into_iter().filter(is_connection);
-    let read = |element: Element| connection(&element, (root, context), bodies, links);
+    let read = |element: Element| connection(&element, context, bodies, links);
     elements.filter_map(|element| context.blockers.keep(read(element))).collect()
 }
 
@@ -170,61 +170,100 @@ fn active(root: &Element, context: &Context) -> Vec<Element> {
 
 fn connection(
     element: &Element,
-    (root, context): (&Element, &Context),
+    context: &Context,
     bodies: &[Body],
     links: &Links<'_>,
 ) -> Result<ConnectionPlan, String> {
     let is_weld = element.tag == "weld";
-    if element.text("site1").or(element.text("site2")).is_some() {
-        let reason = "sites are not supported here; name bodies by `body1` and `body2`, and a point by `anchor`";
-        return Err(element.refuse(reason));
-    }
-    element.only(&[&CONNECTION, if is_weld { &WELD } else { &[] }])?;
-    let body = |attribute: &str| {
-        let known = bodies.iter().map(|body| body.name.as_str());
-        let found = context.index(element, attribute, ("body", known));
-        let name = element.text(attribute).unwrap_or_default();
-        found.map_err(|reason| match is_skipped(root, name) && context.blockers.is_empty() {
-            true => {
-                let why = "is a mocap body, which is skipped; remove the connection, or connect a body that moves";
-                element.refuse_for(attribute, format!("`{name}` {why}"))
-            }
-            false => reason,
-        })
-    };
-    let first = body("body1")?;
-    let second = element.text("body2").map_or(Ok(0), |_| body("body2"))?;
-    let anchor = element.numbers("anchor")?.or(is_weld.then_some([0.0; 3]));
-    let anchor = anchor.ok_or_else(|| element.refuse("it must have `anchor`; add it"))?;
-    if first == second {
-        return Err(element.refuse("it connects a body with itself; name another `body2`"));
-    }
-    let frames = rest_frames(&links.plans);
-    let frame = |link: Option<usize>| link.map_or(Pose::IDENTITY, |link| frames[link]);
-    // The anchor is a point of the first body, that of a weld of the second, whose frame is the other end's.
-    let ([held, other], at) = match is_weld {
-        true => ([second, first], Pose::from_translation(vector(anchor))),
-        false => ([first, second], Pose::from_translation(vector(anchor))),
-    };
-    let end = |body: usize, inside: Pose| ConnectedFrame {
-        link: links.homes[body].0,
-        point: inside.translation,
-        rotation: inside.rotation,
-        mass_centre: links.mass_centres[body],
-    };
-    let held_end = end(held, links.homes[held].1 * at);
-    let other_end = match relative_pose(element)? {
-        Some(pose) => end(other, links.homes[other].1 * pose),
-        None => {
-            let place = frame(links.homes[held].0) * links.homes[held].1 * at;
-            end(other, frame(links.homes[other].0).inverse() * place)
+    let names_sites = element.text("site1").or(element.text("site2")).is_some();
+    let ends = match (names_sites, is_weld) {
+        (true, _) => {
+            element.only(&[&SITES, if is_weld { &WELD[1..] } else { &[] }])?;
+            let [first, second] = ["site1", "site2"].map(|key| site(element, key, context, bodies));
+            [first?, second?]
+                .map(|(body, frame)| end(links, body, links.homes[body].1 * frame.pose()))
+        }
+        (false, true) => {
+            element.only(&[&CONNECTION, &WELD])?;
+            // The anchor is a point of the second body, whose frame is the other end's.
+            let [first, second] = connected(element, context, bodies)?;
+            let anchor = element.numbers("anchor")?.unwrap_or_default();
+            let [held, other] = held_ends(element, links, [second, first], anchor)?;
+            [other, held]
+        }
+        (false, false) => {
+            element.only(&[&CONNECTION])?;
+            let pair = connected(element, context, bodies)?;
+            let anchor = element.numbers("anchor")?;
+            let anchor = anchor.ok_or_else(|| element.refuse("it must have `anchor`; add it"))?;
+            held_ends(element, links, pair, anchor)?
         }
     };
     Ok(ConnectionPlan {
-        ends: if is_weld { [other_end, held_end] } else { [held_end, other_end] },
+        ends,
         torque_scale: is_weld.then(|| element.number("torquescale", 1.0)).transpose()?,
         softness: joints::softness(element, ["solref", "solimp"], context)?,
     })
+}
+
+/// The bodies that a connection names; the second is the world unless stated.
+fn connected(element: &Element, context: &Context, bodies: &[Body]) -> Result<[usize; 2], String> {
+    let body = |attribute: &str| {
+        context.index(element, attribute, ("body", bodies.iter().map(|body| body.name.as_str())))
+    };
+    let first = body("body1")?;
+    let second = element.text("body2").map_or(Ok(0), |_| body("body2"))?;
+    if first == second {
+        return Err(element.refuse("it connects a body with itself; name another `body2`"));
+    }
+    Ok([first, second])
+}
+
+/// Body and frame of the site that an attribute names.
+fn site(
+    element: &Element,
+    attribute: &str,
+    context: &Context,
+    bodies: &[Body],
+) -> Result<(usize, Frame), String> {
+    let sites = bodies.iter().enumerate();
+    let sites: Vec<_> = sites
+        .flat_map(|(index, body)| body.sites.iter().map(move |(name, frame)| (name, index, *frame)))
+        .collect();
+    let known = sites.iter().map(|(name, ..)| name.as_str());
+    let (_, body, frame) = sites[context.index(element, attribute, ("site", known))?];
+    Ok((body, frame))
+}
+
+/// The end of a connection of a body with this frame in its link.
+fn end(links: &Links<'_>, body: usize, in_link: Pose) -> ConnectedFrame {
+    ConnectedFrame {
+        link: links.homes[body].0,
+        point: in_link.translation,
+        rotation: in_link.rotation,
+        mass_centre: links.mass_centres[body],
+    }
+}
+
+/// The end at a point of the body `held`, and that in `other`, which is there in the rest pose unless `relpose` is stated.
+fn held_ends(
+    element: &Element,
+    links: &Links<'_>,
+    [held, other]: [usize; 2],
+    anchor: [f64; 3],
+) -> Result<[ConnectedFrame; 2], String> {
+    let [(held_link, held_home), (other_link, other_home)] =
+        [links.homes[held], links.homes[other]];
+    let at = Pose::from_translation(vector(anchor));
+    let in_other = match relative_pose(element)? {
+        Some(pose) => other_home * pose,
+        None => {
+            let frames = rest_frames(&links.plans);
+            let frame = |link: Option<usize>| link.map_or(Pose::IDENTITY, |link| frames[link]);
+            frame(other_link).inverse() * (frame(held_link) * held_home * at)
+        }
+    };
+    Ok([end(links, held, held_home * at), end(links, other, in_other)])
 }
 
 /// The `relpose` of a weld, the frame of the second body in the first; `None` for that of the rest pose.

@@ -15,6 +15,7 @@ use super::context::Context;
 use super::geoms::Geom;
 use super::meshes::asset_name;
 use super::options::MassSource;
+use super::replicate;
 use crate::scene::{Hull, Shape};
 
 /// Sections without effect on the motion.
@@ -52,6 +53,7 @@ type Hulls = BTreeMap<String, Option<Arc<Hull>>>;
 /// A document that can be built, as one without other files. The robots of both have the same shapes, masses and joints.
 pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<String, String> {
     let mut root = Element::parse(mjcf, folder)?;
+    replicate::expand(&mut root, folder)?;
     let (mut context, _) = Context::read(&root)?;
     let mut hulls = Hulls::new();
     let bodies = bodies::flat(&root, &context);
@@ -241,7 +243,9 @@ fn rewrite(
 ) {
     for mut child in std::mem::take(&mut element.children) {
         match child.tag.as_str() {
-            "site" | "camera" | "light" => continue,
+            "camera" | "light" => continue,
+            // A connection may name it.
+            "site" => drop(child.attributes.remove("material")),
             // Where the shapes decide, an `inertial` of the document counts for nothing.
             "inertial" if source == MassSource::Shapes => continue,
             "geom" => match rests[own].shapes.pop_front() {
@@ -258,8 +262,6 @@ fn rewrite(
                 }
             },
             "frame" => rewrite(&mut child, own, next, rests, source),
-            // A mocap body is skipped. The document was read before, so its flag is valid.
-            "body" if matches!(bodies::is_marker(&child), Ok(true)) => continue,
             "body" => {
                 *next += 1;
                 let index = *next;

@@ -14,7 +14,7 @@ use super::fields;
 use super::meshes::Meshes;
 use crate::scene::Shape;
 
-const KNOWN: [&str; 19] = [
+const KNOWN: [&str; 20] = [
     "name",
     "class",
     "type",
@@ -30,6 +30,7 @@ const KNOWN: [&str; 19] = [
     "fluidshape",
     // Without effect on the motion of most shapes.
     "fluidcoef",
+    "castshadow",
     "gap",
     "group",
     "material",

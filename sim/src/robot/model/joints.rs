@@ -7,7 +7,7 @@ use super::super::softness::Softness;
 use super::bodies::Body;
 use super::context::Context;
 
-const KNOWN: [&str; 23] = [
+const KNOWN: [&str; 24] = [
     "name",
     "class",
     "type",
@@ -29,6 +29,7 @@ const KNOWN: [&str; 23] = [
     "solimpfriction",
     "actuatorfrcrange",
     "actuatorfrclimited",
+    "actuatorgravcomp",
     // Without effect on the motion.
     "group",
     "user",
@@ -85,6 +86,10 @@ pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
             return Err(joint.0.refuse(reason));
         }
         joint.0.only(&[&KNOWN])?;
+        if joint.0.flag("actuatorgravcomp")? == Some(true) {
+            let reason = "`actuatorgravcomp` is not supported; remove it";
+            return Err(joint.0.refuse_for("actuatorgravcomp", reason));
+        }
         let name = match joint.0.text("name") {
             Some(name) => name.to_owned(),
             None if body.joints.len() == 1 => body.name.clone(),
@@ -237,7 +242,7 @@ pub(super) fn softness(
 ) -> Result<Softness, String> {
     let (reference, impedance) = Softness::DEFAULT;
     let reference = joint.padded(solref, reference)?;
-    Softness::check(reference).map_err(|reason| joint.refuse_for(solref, reason))?;
+    Softness::check(solref, reference).map_err(|reason| joint.refuse_for(solref, reason))?;
     let impedance = joint.padded(solimp, impedance)?;
     Ok(Softness::new(reference, impedance, context.options.timestep_secs))
 }

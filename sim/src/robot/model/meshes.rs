@@ -52,7 +52,7 @@ impl Files {
     ) -> Result<Option<(String, Vec<u8>)>, String> {
         let Some(file) = element.text("file") else { return Ok(None) };
         let file = if self.strips_paths { name_of(file) } else { file };
-        let read = folder.read(&self.folder, file);
+        let read = folder.read(&self.folder, file, element.file());
         read.map(Some).map_err(|reason| element.refuse(reason))
     }
 }

@@ -299,6 +299,11 @@ fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
     }
 }
 
+/// Units of the angles in a document.
+pub(super) fn angles_of(root: &Element) -> Result<Angles, String> {
+    angles(&Element::merged("compiler", root.all("compiler")))
+}
+
 fn angles(compiler: &Element) -> Result<Angles, String> {
     let degrees = compiler.word("angle", &[("degree", true), ("radian", false)])?;
     let sequence = compiler.text("eulerseq").unwrap_or("xyz").to_owned();
@@ -347,6 +352,11 @@ fn differences(option: &Element, flags: &Element) -> Result<Vec<String>, String>
     let mut left_out = Vec::new();
     if option.integer("noslip_iterations", 0)? != 0 {
         left_out.push("there is no solver that prevents slip".to_owned());
+    }
+    let iterations = option.integer("iterations", 100)?;
+    if iterations < 10 {
+        left_out
+            .push(format!("constraints are solved to convergence, not in {iterations} iterations"));
     }
     if option.text("integrator") == Some("implicit") {
         let what = "the integrator is `implicitfast`, without derivatives of Coriolis and gyroscopic forces";

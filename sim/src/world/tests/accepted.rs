@@ -95,7 +95,7 @@ fn a_missing_control_range_follows_from_those_of_the_joint_and_the_force() {
 }
 
 #[test]
-fn a_mocap_marker_is_skipped_in_both_documents() {
+fn a_mocap_body_is_fixed_in_both_documents() {
     let marker = "<body name=\"target\" mocap=\"true\" pos=\"1 0 1\">\
         <geom size=\"0.02\" contype=\"0\" conaffinity=\"0\"/><body name=\"tip\"/></body>";
     let mesh = "<geom type=\"mesh\" mesh=\"trough\"/>";
@@ -110,9 +110,34 @@ fn a_mocap_marker_is_skipped_in_both_documents() {
     let direct = robot_of_files(&mjcf, &read).unwrap();
     let flat = robot(&one_document("a.xml", read).unwrap()).unwrap();
     for robot in [direct, flat] {
-        assert_eq!(robot.bodies(), ["world", "a", "leg"]);
+        assert_eq!(robot.bodies(), ["world", "a", "target", "tip", "leg"]);
         assert_eq!(robot.coordinate_names(), ["j"]);
     }
+}
+
+/// MuJoCo 4.0.0 has these names and places.
+#[test]
+fn replicated_elements_are_moved_and_turned_and_have_numbers() {
+    let leg = "<body name=\"leg\" pos=\"0 0.2 0\"><joint name=\"j\"/><geom size=\"0.1\"/></body>";
+    let turn = std::f64::consts::FRAC_PI_2;
+    let legs = format!(
+        "<replicate count=\"4\" sep=\"_\" offset=\"1 0 0.1\" euler=\"0 0 {turn}\">{leg}</replicate>"
+    );
+    let robot = robot(&document(&legs, "")).unwrap();
+    assert_eq!(robot.bodies(), ["world", "leg_0", "leg_1", "leg_2", "leg_3"]);
+    assert_eq!(robot.coordinate_names(), ["j_0", "j_1", "j_2", "j_3"]);
+    let places = [[0.0, 0.2, 0.0], [0.8, 0.0, 0.1], [1.0, 0.8, 0.2], [0.2, 1.0, 0.3]];
+    for (body, place) in (1..).zip(places) {
+        let found = robot.place(body).motion(&[0.0; 4], &[0.0; 4]).position.to_array();
+        let off = found.iter().zip(place).map(|(a, b): (&f64, f64)| (a - b).abs());
+        assert!(off.fold(0.0, f64::max) < 1e-6, "{body}: {found:?}");
+    }
+    let many = document(&legs.replace("\"4\"", "\"10\""), "");
+    assert_eq!(super::robot(&many).unwrap().bodies()[10], "leg_09");
+    let none = super::robot(&many.replace("\"10\"", "\"0\"")).err().unwrap();
+    assert!(none.contains("<replicate>: `count` must be at least 1"), "{none}");
+    let endless = super::robot(&many.replace("\"10\"", "\"2000000000\"")).err().unwrap();
+    assert!(endless.contains("more than 20000 elements"), "{endless}");
 }
 
 #[test]

@@ -336,11 +336,4 @@ fn what_differs_of_integrators_servos_and_hulls_is_listed() {
         left_out("<option ", "<option viscosity=\"0.1\" "),
         "the forces of the fluid are explicit, as with integrator=\"Euler\""
     );
-    assert_eq!(
-        left_out(
-            "<actuator>",
-            "<tendon><fixed damping=\"1\"><joint joint=\"j\" coef=\"1\"/></fixed></tendon><actuator>"
-        ),
-        "the damping of tendons and their servos is explicit, as with integrator=\"Euler\""
-    );
 }

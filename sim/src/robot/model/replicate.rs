@@ -1,0 +1,82 @@
+//! MuJoCo's `replicate`: copies of the elements in it, each in a frame and with names of its own.
+
+use super::super::document::Element;
+use super::super::folder::Folder;
+use super::super::frame::{Angles, Frame, IDENTITY};
+use super::options;
+
+/// Replaces each `replicate` by its copies.
+pub(super) fn expand(root: &mut Element, folder: &mut Folder<'_>) -> Result<(), String> {
+    // An error is noted where the settings are read.
+    let angles = options::angles_of(root).unwrap_or_default();
+    root.children.iter_mut().try_for_each(|section| expand_in(section, &angles, folder))
+}
+
+fn expand_in(
+    element: &mut Element,
+    angles: &Angles,
+    folder: &mut Folder<'_>,
+) -> Result<(), String> {
+    for mut child in std::mem::take(&mut element.children) {
+        expand_in(&mut child, angles, folder)?;
+        if child.tag == "replicate" {
+            element.children.extend(copies(&child, angles, folder)?);
+        } else {
+            element.children.push(child);
+        }
+    }
+    Ok(())
+}
+
+/// The copies as frames, each moved and turned in the frame of the one before.
+fn copies(
+    replicate: &Element,
+    angles: &Angles,
+    folder: &mut Folder<'_>,
+) -> Result<Vec<Element>, String> {
+    replicate.only(&[&["count", "sep", "offset", "euler"]])?;
+    let count = replicate.integer("count", 0)?;
+    if count < 1 {
+        return Err(replicate.refuse_for("count", "`count` must be at least 1"));
+    }
+    let mut step = angles.frame(replicate)?;
+    step.position = replicate.numbers("offset")?.unwrap_or_default();
+    let digits = count.to_string().len();
+    let separator = replicate.text("sep").unwrap_or_default();
+    let mut frame = IDENTITY;
+    let mut copies = Vec::new();
+    for index in 0..count {
+        folder.count_element()?;
+        let mut copy = placed(replicate, &frame);
+        for child in &replicate.children {
+            copy.children.push(renamed(child, &format!("{separator}{index:0digits$}"), folder)?);
+        }
+        copies.push(copy);
+        frame = frame.then(&step);
+    }
+    Ok(copies)
+}
+
+/// A frame without elements.
+fn placed(replicate: &Element, frame: &Frame) -> Element {
+    let [x, y, z, w] = frame.rotation;
+    let text = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    let attributes = [("pos", text(&frame.position)), ("quat", text(&[w, x, y, z]))];
+    let attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
+    let mut placed = replicate.with(attributes);
+    "frame".clone_into(&mut placed.tag);
+    placed
+}
+
+/// A copy of an element and of all in it, with this end of the names.
+fn renamed(element: &Element, end: &str, folder: &mut Folder<'_>) -> Result<Element, String> {
+    folder.count_element()?;
+    let mut copy = element.alone();
+    if let Some(name) = copy.attributes.get_mut("name") {
+        name.push_str(end);
+    }
+    for child in &element.children {
+        copy.children.push(renamed(child, end, folder)?);
+    }
+    Ok(copy)
+}
