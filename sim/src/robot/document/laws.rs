@@ -72,6 +72,9 @@ pub(super) fn overlay(actuator: &mut Element, top: &Element, law: &Element) {
         |name: &&String| GENERAL.contains(&name.as_str()) || POSITION.contains(&name.as_str());
     let rest = top.attributes.iter().filter(|(name, _)| !is_law(name));
     actuator.overlay(&top.with(rest.map(|(name, text)| (name.clone(), text.clone())).collect()));
+    if top.tag == "position" {
+        actuator.attributes.remove("actearly");
+    }
     let inherits = top.tag == "position" && top.text("inheritrange").is_some();
     if inherits && law.text("inheritrange").is_some() {
         actuator.attributes.remove("ctrlrange");

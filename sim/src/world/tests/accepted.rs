@@ -115,6 +115,22 @@ fn a_mocap_body_is_fixed_in_both_documents() {
     }
 }
 
+/// As in MuJoCo 4.0.0.
+#[test]
+fn of_a_class_that_acts_early_only_general_actuators_do() {
+    let body = "<body><joint name=\"j\" range=\"-1 1\"/><geom size=\"0.1\"/></body>";
+    let is_early = |default: &str, actuator: &str| {
+        let actuator = format!("<{actuator} joint=\"j\" ctrlrange=\"-1 1\"/>");
+        let class = format!("<default><general actearly=\"true\"/>{default}</default><worldbody>");
+        let mjcf = document(body, &actuator).replace("<worldbody>", &class);
+        robot(&mjcf).unwrap().blueprint.motors[0].activation.unwrap().is_early
+    };
+    let (filter, servo) =
+        ("general dyntype=\"filter\" dynprm=\"0.1\"", "position timeconst=\"0.1\"");
+    assert!(is_early("", filter) && !is_early("", servo));
+    assert!(!is_early("<position kp=\"3\"/>", filter));
+}
+
 /// MuJoCo 4.0.0 has these names and places.
 #[test]
 fn replicated_elements_are_moved_and_turned_and_have_numbers() {
