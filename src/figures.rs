@@ -294,7 +294,7 @@ mod tests {
         let panel = Panel { task: "a task".into(), quantity: Quantity::Return, series };
         let svg = draw(&[panel], 1).unwrap().svg;
         assert_eq!(colour(0), colour(8));
-        assert_eq!(svg.matches(r#"stroke-dasharray="6 3""#).count(), 1);
+        assert_eq!(svg.matches(r#"stroke-dasharray="14 10""#).count(), 1);
     }
 
     #[test]

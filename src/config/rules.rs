@@ -144,6 +144,16 @@ pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     Err(ConfigError::refused(run.resolved, &keys, &detail))
 }
 
+/// Refuses another learning rule with the settings that HASAC has alone.
+pub(super) fn demand_rule_of_settings(config: &RunConfig) -> Result<(), SettingError> {
+    let training = &config.training;
+    if training.hasac.is_none() || training.update.rule == marl::config::Rule::Hasac {
+        return Ok(());
+    }
+    let range = "hasac with the settings of hasac; use another algorithm";
+    Err(SettingError::new("update.rule", config.resolved.text("update.rule"), range))
+}
+
 /// Refuses numbers that do not go with those of other sections.
 pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let (policy, training) = (&config.policy, &config.training);
@@ -164,13 +174,9 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
         within(key, replay.capacity, count.., &range)?;
         let range = format!("at most {key} = {}", replay.capacity);
         within(batch, replay.batch, ..=replay.capacity, &range)?;
-    }
-    if training.hasac.is_some() != is_hasac {
-        let others = match is_hasac {
-            true => "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac",
-            false => "hasac with the settings of hasac; use another algorithm",
-        };
-        return Err(SettingError::new("update.rule", config.resolved.text("update.rule"), others));
+    } else if is_hasac {
+        let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
+        return Err(SettingError::new("update.rule", "hasac", others));
     }
     if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
         let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);

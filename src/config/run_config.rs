@@ -180,7 +180,10 @@ impl RunConfig {
         if let Some(environment) = offered {
             agents::demand(self, environment)?;
         }
-        effect::demand(&run)
+        // Before, given settings of HASAC without its rule are refused by name.
+        effect::demand(&run)?;
+        let whole = rules::demand_rule_of_settings(self);
+        whole.map_err(|error| ConfigError::out_of_range(&self.resolved, &error))
     }
 
     /// Refuses a task of the simulator that cannot be built with these settings, or whose agents do not suit them.

@@ -92,8 +92,11 @@ impl Environments {
         let settings_place = Some("settings".to_owned());
         let request = Request { settings, settings_place, ..Request::default() };
         let mut config = RunConfig::of(&request)?;
-        // Learners scale observations.
-        config.task.observation.norm = ObservationNorm::None;
+        let is_own = config.task.definition.is_some();
+        if !is_own && Robot::of_task(&config.task.task).is_err() {
+            // A game scales no observations, whatever its algorithm's runs of robots do.
+            config.task.observation.norm = ObservationNorm::None;
+        }
         demand_effect(&keys)?;
         let (count, threads) = (count as usize, threads as usize);
         let size = count.div_ceil(threads);

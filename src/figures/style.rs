@@ -48,7 +48,8 @@ pub(super) fn colour(rank: usize) -> String {
 pub(super) fn line_style(rank: usize) -> LineStyle {
     match rank / COLOURS.len() {
         0 => LineStyle::Solid,
-        round => LineStyle::Custom(format!("{} 3", 6 * round)),
+        // The ends of dashes are round in a PNG, and take four units of a gap.
+        round => LineStyle::Custom(format!("{} 10", 14 * round)),
     }
 }
 

@@ -354,7 +354,8 @@ impl Exchange {
         let notices = std::mem::take(notices);
         // The log may be slow, and no other task waits for that.
         drop(shared);
-        match self.snapshot.borrow().has_ended() {
+        let has_ended = self.snapshot.borrow().has_ended();
+        match has_ended {
             // Connections close under actors that still work, and nothing is lost.
             true => notices.iter().for_each(|notice| tracing::debug!("{notice:?}")),
             false => notices.iter().for_each(Notice::log),

@@ -60,6 +60,15 @@ def test_agents_observe_the_features_that_the_task_names():
     assert (env.task.dt_secs, env.task.episode_steps) == (0.008, 1000)
 
 
+def test_an_algorithm_whose_runs_standardise_observations_standardises_those_of_robots_and_not_of_games():
+    def first(task, algorithm):
+        return s2mia.parallel_env(task, algorithm=algorithm).reset(seed=1)[0]["agent_0"]
+
+    assert first("ant-4x2", "maddpg").std() == pytest.approx(1, abs=0.01)
+    assert first("ant-4x2", "happo").std() < 0.9
+    assert np.array_equal(first("jump-4x1", "maddpg"), first("jump-4x1", "happo"))
+
+
 def test_a_fall_terminates_and_the_limit_truncates():
     ends = {}
     for limit in (5, 1000):

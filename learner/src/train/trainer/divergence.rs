@@ -7,12 +7,16 @@ use crate::train::trainer::RunningTrainer;
 /// Share of an iteration's steps above which divergence is an error: few episodes reach their end.
 const SEVERE: f64 = 0.01;
 
+const LOWER: &str = "lower update.learning_rate, critic.learning_rate or influence.learning_rate";
+
 /// Counts the iterations in which environments diverged.
 #[derive(Debug, Default)]
 pub(super) struct Divergence {
     iterations: u64,
     /// Whether a divergence of the update has been reported.
     update_reported: bool,
+    /// Optimiser steps skipped so far, as of the last iteration of this start.
+    skipped: Option<f64>,
 }
 
 /// How bad it is.
@@ -45,34 +49,38 @@ impl Divergence {
         );
         self.iterations.is_power_of_two().then_some((severity, line))
     }
-}
 
-/// The line about figures of an iteration that show a divergence of the update; `None` without one.
-fn instability(report: &IterationReport) -> Option<String> {
-    let shows = |(name, value): &&(String, f64)| {
-        let skipped = name.contains("skipped") && *value > 0.0;
-        skipped || name.ends_with("_loss") && !value.is_finite()
-    };
-    let mut figures = report.metrics.iter().filter(shows);
-    let (name, value) = figures.next()?;
-    let others = match figures.count() {
-        0 => String::new(),
-        count => format!(" and {count} others like it"),
-    };
-    let iteration = report.iteration;
-    Some(format!(
-        "the update diverges: after iteration {iteration} {name} is {value}{others} (metrics.jsonl); optimiser steps whose \
-         gradient is not finite are skipped; lower update.learning_rate, critic.learning_rate or influence.learning_rate"
-    ))
+    /// The line about the first update that diverges; `None` for others.
+    fn update(&mut self, report: &IterationReport) -> Option<String> {
+        let figures = || report.metrics.iter();
+        let counts = figures().filter(|(name, _)| name.ends_with("skipped_steps"));
+        let steps: f64 = counts.map(|(_, count)| count).sum();
+        // Checkpoints keep these counts, so those at the first iteration after a resume may be old.
+        let known = if report.iteration == 1 { 0.0 } else { steps };
+        let new = steps - self.skipped.replace(steps).unwrap_or(known);
+        let is_skipped = figures().any(|(name, own)| name == "losses/update_skipped" && *own > 0.0);
+        let is_infinite =
+            |(name, own): &&(String, f64)| name.ends_with("_loss") && !own.is_finite();
+        let why = match figures().find(is_infinite) {
+            _ if is_skipped => "it was skipped because returns are not finite (losses/update_skipped): rewards or states are \
+                                too large"
+                .to_owned(),
+            Some((name, own)) => format!("{name} is {own}; {LOWER}"),
+            None if new > 0.0 => format!(
+                "{new} optimiser steps were skipped because their gradients were not finite (skipped_steps); {LOWER}"
+            ),
+            None => return None,
+        };
+        let line = format!("the update of iteration {} diverges: {why}", report.iteration);
+        (!std::mem::replace(&mut self.update_reported, true)).then_some(line)
+    }
 }
 
 impl RunningTrainer {
     /// Logs once that the update diverges.
     pub(super) fn report_instability(&mut self, report: &IterationReport) {
-        let line = instability(report).filter(|_| !self.divergence.update_reported);
-        if let Some(line) = line {
+        if let Some(line) = self.divergence.update(report) {
             tracing::warn!("{line}");
-            self.divergence.update_reported = true;
         }
     }
 
@@ -99,25 +107,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn skipped_steps_and_losses_that_are_not_finite_show_a_divergence_of_the_update() {
-        let line = |metrics: &[(&str, f64)]| {
-            let metrics =
-                metrics.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
-            instability(&IterationReport { iteration: 3, metrics, ..IterationReport::default() })
+    fn the_first_update_with_new_skipped_steps_or_a_loss_that_is_not_finite_is_reported() {
+        let report = |iteration: u64, name: &str, value: f64| {
+            let metrics = vec![(name.to_owned(), value)];
+            IterationReport { iteration, metrics, ..IterationReport::default() }
         };
-        let fine = [("losses/value_loss", 4e44), ("agent0/skipped_steps", 0.0)];
-        assert_eq!(line(&fine), None);
-        assert_eq!(line(&[("agent0/explained_variance", f64::NAN)]), None);
-        for (name, value, shown) in [
-            ("losses/value_skipped_steps", 498.0, "losses/value_skipped_steps is 498 ("),
-            ("losses/update_skipped", 1.0, "losses/update_skipped is 1 ("),
-            ("losses/value_loss", f64::NAN, "losses/value_loss is NaN ("),
+        let first = |name: &str, value: f64| Divergence::default().update(&report(1, name, value));
+        assert_eq!(first("losses/value_loss", 4e44), None);
+        assert_eq!(first("agent0/explained_variance", f64::NAN), None);
+        for (name, value, words) in [
+            ("losses/value_skipped_steps", 498.0, "diverges: 498 optimiser steps were skipped"),
+            ("losses/value_loss", f64::NAN, "diverges: losses/value_loss is NaN; lower update."),
+            ("losses/update_skipped", 1.0, "rewards or states are too large"),
         ] {
-            let found = line(&[(name, value)]).unwrap();
-            assert!(found.contains(&format!("after iteration 3 {shown}")), "{found}");
+            let line = first(name, value).unwrap();
+            assert!(line.contains("iteration 1 ") && line.contains(words), "{line}");
         }
-        let two = line(&[("agent0/skipped_steps", 1.0), ("agent1/skipped_steps", 2.0)]).unwrap();
-        assert!(two.contains("agent0/skipped_steps is 1 and 1 others like it"), "{two}");
+        // Three steps were skipped before a resume, and one after it.
+        let mut resumed = Divergence::default();
+        let lines = [(900, 3.0), (901, 3.0), (902, 4.0), (903, 5.0)].map(|(iteration, count)| {
+            resumed.update(&report(iteration, "agent0/skipped_steps", count)).is_some()
+        });
+        assert_eq!(lines, [false, false, true, false]);
     }
 
     #[test]
