@@ -149,6 +149,14 @@ MODELS = {
         on('<geom type="box" size="0.2 0.2 0.1" pos="0 0 0.1"/>', '<geom type="box" size="0.1 0.05 0.1" mass="2"/>'),
         [0.3],
     ),
+    "box with a margin on a box far away": (
+        above(
+            '<geom type="box" size="0.2 0.2 0.1" pos="3 4 0.1" margin="0.004"/>',
+            'pos="3 4.02 0.305"',
+            '<geom type="box" size="0.1 0.05 0.1" mass="2" margin="0.004"/>',
+        ),
+        [0.3],
+    ),
     "capsule on a box": (
         on(
             '<geom type="box" size="0.4 0.4 0.1" pos="0 0 0.1"/>',
