@@ -8,12 +8,17 @@ from typing import Any
 import numpy as np
 
 
+def by_key(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by keys such as `run.seed`, from keywords such as `run__seed`."""
+    return {key.replace("__", "."): value for key, value in settings.items()}
+
+
 def arguments(task: str | os.PathLike[str], settings: Mapping[str, Any]) -> list[str]:
     """A task, which is a name or a task file, and its settings as arguments of the program.
 
     Raises `ValueError` for a value that is neither a truth value nor a number nor a text.
     """
-    return [f"task={os.fspath(task)}", *(f"{key.replace('__', '.')}={_text(key, value)}" for key, value in settings.items())]
+    return [f"task={os.fspath(task)}", *(f"{key}={_text(key, value)}" for key, value in by_key(settings).items())]
 
 
 def _text(key: str, value: Any) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from s2mia._native import Environments
-from s2mia.settings import arguments
+from s2mia.settings import arguments, by_key
 from s2mia.values import AgentSpec, Numbers, agent_fields, checked_seed, whole
 
 RENDER_MODE = "rgb_array"
@@ -50,10 +50,11 @@ class Simulator:
     ) -> None:
         # A setting has 63 bits.
         own = checked_seed(seed, 2**63 - 1)
-        if own is not None and settings.get("run__seed", own) != own:
-            raise ValueError(f"seed is {own} and run__seed is {settings['run__seed']}; give one of them")
-        seeded = {} if own is None else {"run__seed": own}
-        self._arguments = (task, dict(settings), seed, disturbances, num_envs, threads)
+        settings = by_key(settings)
+        if own is not None and settings.get("run.seed", own) != own:
+            raise ValueError(f"seed is {own} and run.seed is {settings['run.seed']}; give one of them")
+        seeded = {} if own is None else {"run.seed": own}
+        self._arguments = (task, settings, seed, disturbances, num_envs, threads)
         self.num_envs = num_envs
         self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
         about: dict[str, Any] = json.loads(self.native.task())

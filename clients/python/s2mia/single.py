@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from s2mia import _native
+from s2mia.settings import by_key
 from s2mia.simulator import OneEnvironment, Simulator
 from s2mia.values import Numbers, numbers
 
@@ -18,7 +19,7 @@ except ModuleNotFoundError as missing:
 
 
 # Settings of what an agent observes, which here is the global state.
-_WITHOUT_EFFECT = ("observation__mode", "observation__nearest", "observation__globals")
+_WITHOUT_EFFECT = ("observation.mode", "observation.nearest", "observation.globals")
 
 
 def gym_env(
@@ -34,9 +35,9 @@ def gym_env(
     Its observation is the global state, and its action that of all agents, in their order. `task` may also be the name of a
     robot, such as `"ant"`, whose partition does not matter here. The other arguments are those of `s2mia.parallel_env`.
     """
-    for key in _WITHOUT_EFFECT:
-        if key in settings:
-            raise ValueError(f"{key.replace('__', '.')} has no effect: the agent of gym_env observes the global state")
+    for key in by_key(settings):
+        if key in _WITHOUT_EFFECT:
+            raise ValueError(f"{key} has no effect: the agent of gym_env observes the global state")
     name, names = os.fspath(task), _native.task_names()
     # Of each robot its first task.
     robots = {own.rpartition("-")[0]: own for own in reversed(names)}

@@ -26,5 +26,5 @@ def test_a_keyword_with_two_underscores_is_a_setting_of_the_program(name, value,
 
 @pytest.mark.parametrize("value", [None, [1], {"seed": 1}, np.zeros(2), 1j])
 def test_a_value_that_no_setting_has_is_refused_with_its_name(value):
-    with pytest.raises(ValueError, match="^run__seed "):
+    with pytest.raises(ValueError, match="^run.seed "):
         arguments(pathlib.Path("robot.toml"), {"run__seed": value})

@@ -121,15 +121,17 @@ def test_a_copy_is_an_environment_of_the_same_arguments_before_its_first_episode
     assert np.array_equal(other.state(), first)
 
 
+@pytest.mark.parametrize("separator", [".", "__"])
 @pytest.mark.parametrize("key", ["mode", "nearest", "globals"])
-def test_the_single_agent_refuses_settings_of_what_agents_observe(key):
+def test_the_single_agent_refuses_settings_of_what_agents_observe(key, separator):
     with pytest.raises(ValueError, match=f"^observation.{key} has no effect: the agent of gym_env observes the global state$"):
-        s2mia.gym_env("ant", **{f"observation__{key}": 1})
+        s2mia.gym_env("ant", **{f"observation{separator}{key}": 1})
 
 
-def test_two_different_seeds_are_refused():
-    with pytest.raises(ValueError, match=r"^seed is 3 and run__seed is 4; give one of them$"):
-        s2mia.parallel_env("ant-4x2", seed=3, run__seed=4)
+@pytest.mark.parametrize("key", ["run__seed", "run.seed"])
+def test_two_different_seeds_are_refused(key):
+    with pytest.raises(ValueError, match=r"^seed is 3 and run.seed is 4; give one of them$"):
+        s2mia.parallel_env("ant-4x2", seed=3, **{key: 4})
 
 
 def test_only_an_episode_that_has_begun_is_saved():
