@@ -85,7 +85,7 @@ fn a_learner_that_is_asked_to_stop_while_it_starts_stops_with_a_checkpoint() {
 fn the_second_signal_ends_a_learner_at_once_with_the_status_of_the_signal() {
     let runs = Runs::new();
     for (name, status) in [("-TERM", 143), ("-INT", 130)] {
-        let mut cluster = Cluster::in_an_update(&runs.folder(name), "10000000");
+        let mut cluster = Cluster::in_an_update(&runs.folder(name), "65536");
         cluster.learner.signal("-TERM");
         cluster.is_stopping();
         assert!(cluster.learner.is_running(), "it waits for the update");
