@@ -30,6 +30,7 @@ struct Total {
     files: usize,
     bytes: usize,
     elements: usize,
+    copied: usize,
 }
 
 impl<'a> Folder<'a> {
@@ -58,6 +59,17 @@ impl<'a> Folder<'a> {
             Ok(())
         } else {
             Err(format!("the model has more than {MOST_ELEMENTS} elements"))
+        }
+    }
+
+    /// Counts the bytes of an element's copy before it is made: together, copies may be as large as a document.
+    pub(super) fn count_copy(&mut self, bytes: usize) -> Result<(), String> {
+        self.count_element()?;
+        self.total.copied += bytes;
+        if self.total.copied <= LARGEST_DOCUMENT {
+            Ok(())
+        } else {
+            Err(format!("the copies of `replicate` have more than {LARGEST_DOCUMENT} bytes"))
         }
     }
 

@@ -83,7 +83,7 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
     }
     let mut next = 0;
     for world in root.children.iter_mut().filter(|section| section.tag == "worldbody") {
-        rewrite(world, 0, &mut next, &mut rests, source);
+        rewrite(world, 0, &mut next, &mut rests, &context);
     }
     Ok(written(&root))
 }
@@ -239,15 +239,16 @@ fn rewrite(
     own: usize,
     next: &mut usize,
     rests: &mut [Rest],
-    source: MassSource,
+    context: &Context,
 ) {
+    let is_connected = |name: &str| context.connected.contains(name);
     for mut child in std::mem::take(&mut element.children) {
         match child.tag.as_str() {
             "camera" | "light" => continue,
-            // A connection may name it.
+            "site" if !child.text("name").is_some_and(is_connected) => continue,
             "site" => drop(child.attributes.remove("material")),
             // Where the shapes decide, an `inertial` of the document counts for nothing.
-            "inertial" if source == MassSource::Shapes => continue,
+            "inertial" if context.options.mass_source == MassSource::Shapes => continue,
             "geom" => match rests[own].shapes.pop_front() {
                 Some(Kept::Nothing) | None => continue,
                 Some(Kept::Whole) => drop(child.attributes.remove("material")),
@@ -261,11 +262,11 @@ fn rewrite(
                     child.attributes.extend(seen.map(|(k, v)| (k.to_owned(), v.to_owned())));
                 }
             },
-            "frame" => rewrite(&mut child, own, next, rests, source),
+            "frame" => rewrite(&mut child, own, next, rests, context),
             "body" => {
                 *next += 1;
                 let index = *next;
-                rewrite(&mut child, index, next, rests, source);
+                rewrite(&mut child, index, next, rests, context);
                 if let Some(solid) = rests[index].inertial {
                     child.children.insert(0, inertial(&child, &solid));
                 }

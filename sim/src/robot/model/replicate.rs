@@ -5,11 +5,12 @@ use super::super::folder::Folder;
 use super::super::frame::{Angles, Frame, IDENTITY};
 use super::options;
 
-/// Replaces each `replicate` by its copies.
+/// Replaces each `replicate` in the world by its copies. MuJoCo has none in other sections.
 pub(super) fn expand(root: &mut Element, folder: &mut Folder<'_>) -> Result<(), String> {
     // An error is noted where the settings are read.
     let angles = options::angles_of(root).unwrap_or_default();
-    root.children.iter_mut().try_for_each(|section| expand_in(section, &angles, folder))
+    let mut worlds = root.children.iter_mut().filter(|section| section.tag == "worldbody");
+    worlds.try_for_each(|world| expand_in(world, &angles, folder))
 }
 
 fn expand_in(
@@ -70,7 +71,9 @@ fn placed(replicate: &Element, frame: &Frame) -> Element {
 
 /// A copy of an element and of all in it, with this end of the names.
 fn renamed(element: &Element, end: &str, folder: &mut Folder<'_>) -> Result<Element, String> {
-    folder.count_element()?;
+    let bytes =
+        element.attributes.iter().map(|(name, text)| name.len() + text.len()).sum::<usize>();
+    folder.count_copy(bytes + end.len())?;
     let mut copy = element.alone();
     if let Some(name) = copy.attributes.get_mut("name") {
         name.push_str(end);

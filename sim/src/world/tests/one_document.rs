@@ -155,6 +155,19 @@ fn a_model_written_as_one_document_has_the_masses_and_shapes_of_its_files() {
     assert_eq!(text.matches("<mesh ").count(), 2, "{text}");
     assert_eq!(text.matches("<inertial ").count(), 4, "{text}");
     assert!(!text.contains("trough\"") && !text.contains("material"), "{text}");
+    assert!(!text.contains("<site"), "{text}");
+}
+
+#[test]
+fn only_sites_that_a_connection_names_remain_in_one_document() {
+    let connect = "<equality><connect site1=\"a\" site2=\"b\" active=\"false\"/>";
+    let sites = "<site name=\"a\"/><site name=\"b\" material=\"m\"/><site name=\"imu\"/><site/>";
+    let document = WALKER
+        .replace("<equality>", connect)
+        .replace("<body name=\"foot\"", &format!("{sites}<body name=\"foot\""));
+    let text = assert_same(&document);
+    assert!(text.contains("<site name=\"a\"/>") && text.contains("<site name=\"b\"/>"), "{text}");
+    assert_eq!(text.matches("<site").count(), 2, "{text}");
 }
 
 #[test]

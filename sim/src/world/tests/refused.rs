@@ -120,6 +120,13 @@ fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
     let bomb = format!("<!DOCTYPE m [<!ENTITY e0 \"x\">{entities}]><mujoco model=\"&e8;\"/>");
     let include = |file: &str| section(&format!("\n<include file=\"{file}\"/>"));
     for (mjcf, expected) in [
+        (
+            bodies(&format!(
+                "<replicate count=\"1000\"><geom size=\"1\" user=\"{}\"/></replicate>",
+                "0 ".repeat(500_000)
+            )),
+            "the copies of `replicate` have more than 4194304 bytes",
+        ),
         (bomb, "a DTD is not supported; remove it"),
         (
             include("self.xml"),
@@ -189,6 +196,7 @@ fn refused_actuators_are_named_with_their_lines() {
             actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
             "line 6, <motor>: no fixed tendon has the name `t`; there is none",
         ),
+        (actuator("<replicate count=\"2\"/>"), "line 6, <replicate>: this actuator"),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
             actuator("<general joint=\"j\" dyntype=\"muscle\" ctrlrange=\"0 1\"/>"),
