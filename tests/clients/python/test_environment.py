@@ -66,7 +66,8 @@ def test_an_environment_without_states_gives_one_actor_and_two_the_same_weights(
     ],
 )
 def test_a_program_that_shows_something_else_than_it_says_ends_the_run_by_field(offer, tmp_path, lie, field):
-    done = train(tmp_path / "run", offer("games:Liar", lie), "run.actors=1")
+    norms = ("policy.input_norm=none", "critic.input_norm=none")
+    done = train(tmp_path / "run", offer("games:Liar", lie), *norms, "run.actors=1")
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()[-1:]
     assert f"sent an invalid answer: {field}" in line
@@ -200,7 +201,8 @@ def test_pushes_are_clamped_and_brought_into_ranges_that_differ():
 
 def test_the_unit_of_an_action_does_not_affect_the_weights(offer, tmp_path):
     """The reward of all is the same function of the place of an action in its range."""
-    short = ("algorithm=happo", "run.iterations=3", "environments.steps=20", "environments.message_steps=20", "run.actors=1")
+    norm = "policy.input_norm=none"
+    short = (norm, "algorithm=happo", "run.iterations=3", "environments.steps=20", "environments.message_steps=20", "run.actors=1")
     hashes = []
     for first, second in ((1, 1), (128, 128), (1, 128)):
         folder = tmp_path / f"{first}-{second}"
