@@ -185,6 +185,7 @@ impl Robot {
         if let Some(compliance) = contact_compliance {
             blueprint.use_engine(compliance).map_err(refused)?;
         }
+        blueprint.note_integration();
         let (template, layout) = assemble::assemble(&blueprint).map_err(refused)?;
         layout.check_names().map_err(refused)?;
         blueprint.motors.iter_mut().for_each(|motor| damp(motor, &layout));

@@ -3,6 +3,7 @@
 mod new;
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
@@ -20,6 +21,10 @@ use crate::process::{output, shell};
 
 /// Seed of the random actions.
 const SEED: RunSeed = RunSeed(0);
+
+/// Episodes of random actions, and the time after which no further step is played, unless a number of episodes is given.
+const EPISODES: u32 = 20;
+const LONGEST: Duration = Duration::from_secs(30);
 
 /// Pictures of a film.
 const FRAMES: usize = 8;
@@ -87,9 +92,9 @@ pub(crate) struct TaskCheckArguments {
     /// Task file, or FILE:PARTITION if it has several partitions.
     #[arg(value_name = "FILE", value_parser = shell::expanded_text)]
     pub(crate) task: String,
-    /// Number of episodes of random actions.
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub(crate) episodes: u32,
+    /// Number of episodes of random actions; by default 20, or what 30 s allow.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(crate) episodes: Option<u32>,
     /// Draw eight pictures of the first episode into this PNG file.
     #[arg(long, value_name = "FILE")]
     pub(crate) film: Option<PathBuf>,
@@ -162,14 +167,18 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
         output::line(format!("warning: {warning}"));
     }
     let mut trial = Trial::default();
-    for episode in 0..arguments.episodes {
-        trial.play(&mut *world, episode)?;
-    }
+    let started = Instant::now();
+    let is_late = || arguments.episodes.is_none() && started.elapsed() > LONGEST;
+    trial.play_all(&mut *world, arguments.episodes.unwrap_or(EPISODES), &is_late)?;
     if let Some(film) = film {
         film.write(&trial.film(&*world)?)?;
         output::line(film.path().display());
     }
-    output::line(trial.summary(arguments.episodes));
+    if trial.is_cut {
+        let secs = LONGEST.as_secs();
+        output::line(format!("stopped after {secs} s of random actions: give `--episodes` to play more"));
+    }
+    output::line(trial.summary());
     let why = "the simulation is unstable, or has more than 2,000 contacts or 100,000 close pairs of shapes at a time: \
         shorten the model's timestep, or let fewer shapes touch";
     anyhow::ensure!(trial.faults == 0, why);
@@ -238,6 +247,10 @@ fn motor(actuator: &Actuator<'_>, newtons: &str) -> String {
 /// What happens under random actions.
 #[derive(Default)]
 struct Trial {
+    /// Episodes that began.
+    episodes: u32,
+    /// Whether the last episode has no end, because the time was over.
+    is_cut: bool,
     steps: u64,
     total: f64,
     terminated: u32,
@@ -251,8 +264,30 @@ struct Trial {
 }
 
 impl Trial {
-    /// Plays a whole episode with uniformly distributed actions.
-    fn play(&mut self, world: &mut dyn EnvironmentBatch, episode: u32) -> anyhow::Result<()> {
+    /// Plays up to `count` episodes, until `is_late`.
+    fn play_all(
+        &mut self,
+        world: &mut dyn EnvironmentBatch,
+        count: u32,
+        is_late: &dyn Fn() -> bool,
+    ) -> anyhow::Result<()> {
+        for episode in 0..count {
+            self.play(world, episode, is_late)?;
+            if self.is_cut {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Plays an episode with uniformly distributed actions, at least a step of it, until `is_late`.
+    fn play(
+        &mut self,
+        world: &mut dyn EnvironmentBatch,
+        episode: u32,
+        is_late: &dyn Fn() -> bool,
+    ) -> anyhow::Result<()> {
+        self.episodes += 1;
         let limit = world.description().episode_steps;
         let start = Draw::of(Purpose::EvaluationReset).iteration(episode.into());
         world.reset(0, 0, limit, DrawKey::of(SEED, start).0)?;
@@ -269,7 +304,11 @@ impl Trial {
             self.steps += 1;
             self.total += f64::from(outcome[0].reward);
             self.note_speed(world);
-            if outcome[0].terminated || outcome[0].truncated {
+            if outcome[0].is_end() {
+                break;
+            }
+            if is_late() {
+                self.is_cut = true;
                 break;
             }
         }
@@ -289,7 +328,8 @@ impl Trial {
         }
     }
 
-    fn summary(&self, episodes: u32) -> String {
+    fn summary(&self) -> String {
+        let episodes = self.episodes;
         let mean = |sum: f64| sum / f64::from(episodes);
         format!(
             "{episodes} episodes of random actions: mean length {:.1} steps, mean return {:.1}, {} ended by the task's \
@@ -327,4 +367,20 @@ fn random_action(world: &dyn EnvironmentBatch, episode: u32, step: u32) -> Vec<f
         (0..agent.action.size).map(|_| range.start + width * uniform(&mut rng)).collect::<Vec<_>>()
     };
     agents.flat_map(draw).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn episodes_stop_in_a_step_after_which_the_time_is_over() {
+        let mut world = world("walker2d-2x3").unwrap();
+        let mut trial = Trial::default();
+        trial.play_all(&mut *world, 20, &|| true).unwrap();
+        assert_eq!((trial.episodes, trial.steps, trial.is_cut), (1, 1, true));
+        let mut trial = Trial::default();
+        trial.play_all(&mut *world, 2, &|| false).unwrap();
+        assert_eq!((trial.episodes, trial.is_cut), (2, false));
+    }
 }

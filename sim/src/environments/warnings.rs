@@ -24,6 +24,7 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules) -> Vec<String> {
     warnings.extend(overlaps(&world));
     warnings.extend(limits(robot, &coordinates));
     warnings.extend(unnamed(robot, rules));
+    warnings.extend(unhealthy(robot, rules));
     warnings
 }
 
@@ -35,6 +36,16 @@ fn unnamed(robot: &Robot, rules: &Rules) -> Option<String> {
         let readers = rules.of_root.join(", ");
         format!(
             "several robots have motors: {readers} read that of `{root}`; name a body by `of`, or a `coordinate`"
+        )
+    })
+}
+
+/// Says which conditions of the task the start does not meet.
+fn unhealthy(robot: &Robot, rules: &Rules) -> Option<String> {
+    listed(&rules.unhealthy_start(robot)).map(|listed| {
+        format!(
+            "the start does not meet {listed}, so episodes end in their first step: change the bounds, or [start] \
+             `coordinates` or `keyframe`"
         )
     })
 }

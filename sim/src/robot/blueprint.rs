@@ -297,6 +297,21 @@ impl LinkPlan {
 }
 
 impl Blueprint {
+    /// Notes the order of accuracy of Runge-Kutta steps if it differs from MuJoCo's.
+    pub(crate) fn note_integration(&mut self) {
+        let turns = |link: &LinkPlan| {
+            matches!(link.joint, JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Ball(_))
+        };
+        let count = self.links.iter().filter(|link| turns(link)).count();
+        let is_constrained = self.law == Law::Constraints;
+        if is_constrained && self.integration == Integration::RungeKutta && count > 0 {
+            self.left_out.push(format!(
+                "the Runge-Kutta step of rotations in space has an error of second order, MuJoCo's of fourth: {count} \
+                 free and ball joints"
+            ));
+        }
+    }
+
     /// Replaces what a task states of the softness and margin of all contacts and limits.
     pub(crate) fn soften(&mut self, contacts: ContactOverride, limits: &SoftnessOverride) {
         for pair in &mut self.contacts.pairs {

@@ -107,7 +107,14 @@ impl BodyTerm {
                 Ok(Place::point(*at))
             }
         };
-        let between = || -> Result<_, SimError> { Ok([of()?, to()?]) };
+        let between = || -> Result<_, SimError> {
+            match (&row.of, &row.to) {
+                (Some(of), Some(Goal::Body(to))) if of == to => Err(refused(format!(
+                    "{place} measures from `{of}` to itself; name another body or a point in `to`"
+                ))),
+                _ => Ok([of()?, to()?]),
+            }
+        };
         let along = row.along.clone().unwrap_or(WorldAxis::ALL.to_vec());
         if along.is_empty() {
             return Err(refused(format!("{place}.along names no axis")));

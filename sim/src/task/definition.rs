@@ -254,8 +254,8 @@ impl TaskFile {
                 "[agents] is empty; write, for example, 2x1 = [[\"hip\"], [\"knee\"]]",
             ));
         }
-        whole("frame_skip", file.frame_skip, 1000)?;
-        whole("episode_steps", file.episode_steps, 1_000_000)?;
+        whole("frame_skip", file.frame_skip)?;
+        whole("episode_steps", file.episode_steps)?;
         check_physics(&file.physics)?;
         Ok(file)
     }
@@ -338,17 +338,26 @@ pub(super) fn within(key: &str, value: f32, low: f32, high: f32) -> Result<(), S
     }
 }
 
-fn whole(key: &str, value: u32, most: u32) -> Result<(), SimError> {
-    if (1..=most).contains(&value) {
+/// Bounds of whole numbers.
+const WHOLE: [(&str, [u32; 2]); 2] = [("frame_skip", [1, 1000]), ("episode_steps", [1, 1_000_000])];
+
+/// Bounds of a key with a whole number.
+fn bounds_of(key: &str) -> [u32; 2] {
+    let found = WHOLE.into_iter().find(|(name, _)| *name == key);
+    found.map_or([0, u32::MAX], |(_, bounds)| bounds)
+}
+
+fn whole(key: &str, value: u32) -> Result<(), SimError> {
+    let [low, high] = bounds_of(key);
+    if (low..=high).contains(&value) {
         Ok(())
     } else {
-        Err(refused(format!("{key} must lie in 1..={most}, is {value}")))
+        Err(refused(format!("{key} must lie in {low}..={high}, is {value}")))
     }
 }
 
 /// Names of types in messages of the TOML library, and what to write instead.
-const TYPES: [(&str, &str); 3] = [
-    ("expected u32", "expected a whole number from 0"),
+const TYPES: [(&str, &str); 2] = [
     ("expected f32", "expected a number"),
     ("wanted string or table", "expected a word or a table, such as { uniform = 0.1 }"),
 ];
@@ -369,6 +378,9 @@ fn typed<T: DeserializeOwned>(text: &str) -> Result<T, SimError> {
         let key = start
             .filter(|_| !is_key)
             .and_then(|(key, _)| key.trim().rsplit([' ', '{', ',']).next());
+        let [low, high] = bounds_of(key.unwrap_or_default());
+        let message = message
+            .replace("expected u32", &format!("expected a whole number from {low} to {high}"));
         let key = key.map(|key| format!(", `{key}`")).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
         let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();

@@ -141,6 +141,11 @@ impl Observed {
         if features.is_empty() || along.is_empty() {
             return Err(refused(format!("state.bodies ({name}): `features` or `along` is empty")));
         }
+        if row.of == from {
+            return Err(refused(format!(
+                "state.bodies ({name}): `of` and `from` are the same body; name another one"
+            )));
+        }
         let names = Names::new("body", robot.bodies());
         let observer = names.index("state.bodies.from", from)?;
         Ok(Self {

@@ -13,7 +13,7 @@ use super::names::Names;
 use super::relations::{RelationFeature, Relations};
 use super::start::Start;
 use super::terms::{self, Tilt, Transition, WeightedSum};
-use crate::error::SimError;
+use crate::error::{SimError, short};
 use crate::robot::{Orientation, Robot};
 use crate::state::EpisodeDraws;
 use crate::world::World;
@@ -116,12 +116,19 @@ impl Rules {
     /// Whether the episode terminates for a reason other than its length: a number has left its healthy range. `state` is
     /// the global state.
     pub(crate) fn terminated(&self, after: &Motion<'_>, state: &[f32]) -> bool {
-        let value = |watched: &Watched| match watched {
-            Watched::Coordinate(index) => after.position(*index),
-            Watched::Feature(index) => state[*index],
-            Watched::Upright(tilt) => terms::upright(after, tilt),
-        };
-        !self.healthy.iter().all(|(watched, row)| row.holds(value(watched)))
+        !self.healthy.iter().all(|(watched, row)| row.holds(watched.value(after, state)))
+    }
+
+    /// The conditions that the start without noise does not meet, with its values.
+    pub(crate) fn unhealthy_start(&self, robot: &Robot) -> Vec<String> {
+        let (coordinates, velocities) = self.start_pose(robot);
+        let (reference, velocities) = (robot.reference(), velocities.as_slice());
+        let motion = Motion { coordinates: &coordinates, reference, velocities };
+        let mut state = vec![0.0; self.measured.iter().sum()];
+        self.measure(&motion, &mut state);
+        let values = self.healthy.iter().map(|(watched, row)| (row, watched.value(&motion, &state)));
+        let unmet = values.filter(|(row, value)| !row.holds(*value));
+        unmet.map(|(row, value)| format!("`healthy.{}` ({}, is {})", row.name(), row.bounds(), short(value))).collect()
     }
 
     /// Whether the reward depends on the actions of the step before.
@@ -173,6 +180,11 @@ impl Rules {
         out[command..][..drawn.command.len()].copy_from_slice(&drawn.command);
         let disturbances = out.len() - self.described;
         self.disturbance.write(drawn, &mut out[disturbances..]);
+        self.measure(motion, out);
+    }
+
+    /// Writes the measured features to the start of `out`.
+    fn measure(&self, motion: &Motion<'_>, out: &mut [f32]) {
         let (positions, rest) = out.split_at_mut(self.measured[0]);
         for (to, &index) in positions.iter_mut().zip(&self.shown) {
             *to = motion.position(index);
@@ -193,7 +205,40 @@ impl Rules {
     }
 }
 
+impl Watched {
+    /// Its value in a motion with the global state `state`.
+    fn value(&self, motion: &Motion<'_>, state: &[f32]) -> f32 {
+        match self {
+            Self::Coordinate(index) => motion.position(*index),
+            Self::Feature(index) => state[*index],
+            Self::Upright(tilt) => terms::upright(motion, tilt),
+        }
+    }
+}
+
 impl HealthyRow {
+    /// The coordinate or feature.
+    fn name(&self) -> &str {
+        self.coordinate.as_deref().or(self.feature.as_deref()).unwrap_or_default()
+    }
+
+    /// Its bounds with their keys.
+    fn stated(&self) -> [(&'static str, Option<f32>); 4] {
+        [
+            ("above", self.above),
+            ("at_least", self.at_least),
+            ("below", self.below),
+            ("at_most", self.at_most),
+        ]
+    }
+
+    /// The stated bounds, as in the file.
+    fn bounds(&self) -> String {
+        let stated = self.stated().into_iter();
+        let stated = stated.filter_map(|(key, bound)| Some(format!("{key} = {}", short(bound?))));
+        stated.collect::<Vec<_>>().join(", ")
+    }
+
     fn holds(&self, value: f32) -> bool {
         self.above.is_none_or(|bound| bound < value)
             && self.at_least.is_none_or(|bound| bound <= value)
@@ -272,12 +317,7 @@ fn checked_healthy(
         _ => return Err(refused("healthy needs either a `coordinate` or a `feature`")),
     };
     let place = format!("healthy.{name}");
-    let bounds = [
-        ("above", row.above),
-        ("at_least", row.at_least),
-        ("below", row.below),
-        ("at_most", row.at_most),
-    ];
+    let bounds = row.stated();
     if bounds.iter().all(|(_, bound)| bound.is_none()) {
         let why = "needs a bound: above, at_least, below or at_most";
         return Err(refused(format!("{place} {why}")));

@@ -321,6 +321,12 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
             &["line 5", "`fram_skip`", "did you mean `frame_skip`?"][..],
         ),
         ("frame_skip = 4", "frame_skip = 0", &["frame_skip must lie in 1..=1000, is 0"]),
+        ("frame_skip = 4", "frame_skip = -4", &["`-4`, expected a whole number from 1 to 1000"]),
+        (
+            "frame_skip = 4",
+            "frame_skip = 99999999999",
+            &["`frame_skip`: ", "expected a whole number from 1 to 1000"],
+        ),
         ("robot = \"hopper\"", "robot = \"../x\"", &["robot must be", "`../x`"]),
         ("\"alive\"", "\"alife\"", &["`alife`", "did you mean `alive`?"]),
         ("[\"knee\"]]", "[\"kne\"]]", &["agents: ", "`kne`; did you mean `knee`?"]),

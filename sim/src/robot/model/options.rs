@@ -120,8 +120,10 @@ const KEPT: [(&str, &str); 3] = [
     ("refsafe", "the time constant of `solref` is at least two steps, as with the flag `refsafe`"),
     ("eulerdamp", "the damping of joints is implicit, as with the flag `eulerdamp`"),
 ];
-/// Flags that must be enabled.
-const ENABLED: [&str; 3] = ["passive", "clampctrl", "actuation"];
+/// Flags that must be enabled. MuJoCo 4.0.0 has `spring` and `damper` in place of `passive`.
+const ENABLED: [&str; 5] = ["passive", "spring", "damper", "clampctrl", "actuation"];
+/// Flags that must be disabled.
+const DISABLED: [&str; 2] = ["sleep", "override"];
 /// Flags without which some or all constraints do not act.
 const CONSTRAINTS: [&str; 5] = ["constraint", "contact", "equality", "frictionloss", "limit"];
 
@@ -190,14 +192,19 @@ impl Options {
             &FLAGS,
             &KEPT.map(|(flag, _)| flag),
             &ENABLED,
+            &DISABLED,
             &CONSTRAINTS,
             &["gravity"],
         ]));
         let on = |flag: &str| blockers.keep(flags.flag(flag)).flatten();
         let is_set = |name: &str| blockers.keep(compiler.flag(name)).flatten();
-        for flag in ENABLED.into_iter().filter(|flag| on(flag) == Some(false)) {
-            let reason = format!("{flag}=\"disable\" is not supported; remove it");
-            blockers.note(flags.refuse_for(flag, reason));
+        let fixed = ENABLED.map(|flag| (flag, false)).into_iter();
+        for (flag, value) in fixed.chain(DISABLED.map(|flag| (flag, true))) {
+            if on(flag) == Some(value) {
+                let word = if value { "enable" } else { "disable" };
+                let reason = format!("{flag}=\"{word}\" is not supported; remove it");
+                blockers.note(flags.refuse_for(flag, reason));
+            }
         }
         let [constraints, contacts, equalities, friction, limits] =
             CONSTRAINTS.map(|flag| on(flag).unwrap_or(true));

@@ -182,6 +182,19 @@ fn invalid_rows_of_bodies_are_refused_with_their_key() {
             [row("of = \"ball\""), row("of = \"ball\"")].concat(),
             "state.bodies states the feature `ball/world.x.position` twice",
         ),
+        (
+            row("of = \"ball\"\nfrom = \"ball\""),
+            "state.bodies (ball/ball): `of` and `from` are the same body; name another one",
+        ),
+        (row("of = \"world\""), "state.bodies (world/world): `of` and `from` are the same body"),
+        (
+            term("term = \"distance\"\nof = \"ball\"\nto = \"ball\""),
+            "reward.distance measures from `ball` to itself; name another body or a point in `to`",
+        ),
+        (
+            term("term = \"approach\"\nof = \"ball\"\nto = \"ball\""),
+            "reward.approach measures from `ball` to itself",
+        ),
         (term("term = \"height\""), "reward.height needs the key `of`"),
         (term("term = \"height\"\nof = \"cup\""), "reward.height.of: the robot has no body `cup`"),
         (term("term = \"approach\"\nof = \"ball\""), "reward.approach needs the key `to`"),

@@ -253,3 +253,20 @@ fn the_height_of_a_height_field_is_drawn_as_that_of_other_fixed_shapes() {
     let shapes = world.world(0).unwrap().fixed_shapes();
     assert_eq!(shapes.iter().map(|shape| shape.position).collect::<Vec<_>>(), [[0.0, 0.0, 0.5]]);
 }
+
+#[test]
+fn a_start_that_does_not_meet_a_condition_is_named_with_its_value() {
+    for (row, expected) in [
+        ("feature = \"upright\"\nat_least = 2", "`healthy.upright` (at_least = 2, is 1)"),
+        (
+            "feature = \"rootx.velocity\"\nabove = 0.5\nbelow = 9",
+            "`healthy.rootx.velocity` (above = 0.5, below = 9, is 0)",
+        ),
+        ("coordinate = \"rootz\"\nbelow = -1", "`healthy.rootz` (below = -1, is "),
+    ] {
+        let file = changed("coordinate = \"rootz\"\nat_least = -0.5", row);
+        let found = environments(&config(&file, ObservationMode::FullId), 1).unwrap().warnings();
+        let start = format!("the start does not meet {expected}");
+        assert!(found.len() == 1 && found[0].starts_with(&start), "{found:?}");
+    }
+}

@@ -44,6 +44,8 @@ struct TouchShape {
     collider: Option<ColliderHandle>,
     surface: Option<Surface>,
     kind: TouchKind,
+    /// Number of the shapes that it never touches: those of its link, or all that are fixed.
+    part: usize,
     /// Index of its body in the model.
     body: usize,
     bounds: Bounds,
@@ -59,6 +61,16 @@ enum TouchKind {
     Link(usize),
     Base,
     Ground,
+}
+
+impl TouchKind {
+    /// The link, or `links` for all that is fixed.
+    fn part(self, links: usize) -> usize {
+        match self {
+            Self::Link(link) => link,
+            Self::Base | Self::Ground => links,
+        }
+    }
 }
 
 /// Forms on which the points or the frame of a contact depend.
@@ -84,6 +96,7 @@ impl Touching {
             collider: None,
             surface: shape.surface,
             kind,
+            part: kind.part(blueprint.links.len()),
             body: shape.body,
             bounds: Bounds::of_shape(&shape.shape, &shape.pose),
             inverse: if kind == TouchKind::Base { [0.0; 2] } else { *inverse },
@@ -96,6 +109,7 @@ impl Touching {
             collider: None,
             surface: Some(ground.surface),
             kind: TouchKind::Ground,
+            part: TouchKind::Ground.part(blueprint.links.len()),
             body: ground.body,
             bounds: match &ground.form {
                 GroundForm::Plane => Bounds::Plane,
@@ -114,6 +128,12 @@ impl Touching {
             },
         });
         let mut shapes: Vec<TouchShape> = moving.chain(fixed).collect();
+        for index in blueprint.contacts.pairs.iter().flat_map(|pair| pair.shapes) {
+            // It may touch another shape of its link.
+            if matches!(shapes[index].kind, TouchKind::Link(_)) {
+                shapes[index].part = blueprint.links.len() + 1 + index;
+            }
+        }
         for (handle, collider) in robot.template.colliders.iter() {
             shapes[shape_of(collider)].collider = Some(handle);
         }
@@ -198,7 +218,7 @@ impl Touching {
             let Some(handle) = shape.collider else { continue };
             let collider = &physics.colliders[handle];
             let frame = pose_at_start(collider, shape.link(start));
-            near.add(index, &shape.bounds, &frame, collider.contact_skin());
+            near.add([index, shape.part], &shape.bounds, &frame, collider.contact_skin());
         }
         let mut pairs = std::mem::take(&mut self.pairs);
         pairs.clear();

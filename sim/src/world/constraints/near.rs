@@ -19,6 +19,7 @@ pub(super) enum Bounds {
 /// The bounds of a shape in the world.
 struct Placed {
     shape: usize,
+    part: usize,
     centre: Vector,
     axes: [Vector; 3],
     /// Half sizes along the axes, with the distance at which contacts become active, m.
@@ -51,8 +52,15 @@ impl Near {
         self.placed.clear();
     }
 
-    /// Adds a shape whose collider is at `frame` and that touches what is nearer than `reach`, m.
-    pub(super) fn add(&mut self, shape: usize, bounds: &Bounds, frame: &Pose, reach: f32) {
+    /// Adds a shape whose collider is at `frame` and that touches what is nearer than `reach`, m. Shapes of the same part are
+    /// never near.
+    pub(super) fn add(
+        &mut self,
+        [shape, part]: [usize; 2],
+        bounds: &Bounds,
+        frame: &Pose,
+        reach: f32,
+    ) {
         let reach = Vector::splat(reach + ROUNDING);
         let (pose, half) = match bounds {
             Bounds::Plane => (*frame, reach),
@@ -66,10 +74,10 @@ impl Near {
         };
         let centre = pose.translation;
         let (low, high) = (centre - extent, centre + extent);
-        self.placed.push(Placed { shape, centre, axes, half, is_plane, low, high });
+        self.placed.push(Placed { shape, part, centre, axes, half, is_plane, low, high });
     }
 
-    /// Calls `found` with the shapes of all pairs whose bounds overlap, in any order.
+    /// Calls `found` with the shapes of all pairs of different parts whose bounds overlap, in any order.
     pub(super) fn pairs(&mut self, mut found: impl FnMut([usize; 2])) {
         self.placed.sort_unstable_by(|one, other| {
             one.low.x.total_cmp(&other.low.x).then(one.shape.cmp(&other.shape))
@@ -77,7 +85,7 @@ impl Near {
         for (index, one) in self.placed.iter().enumerate() {
             let later = self.placed[index + 1..].iter();
             for other in later.take_while(|other| other.low.x <= one.high.x) {
-                if one.overlaps(other) {
+                if one.part != other.part && one.overlaps(other) {
                     found([one.shape, other.shape]);
                 }
             }
@@ -116,5 +124,22 @@ impl Placed {
     fn extent(&self, axis: Vector) -> f32 {
         let parts = self.axes.iter().zip(self.half.to_array());
         parts.fold(0.0, |sum, (own, half)| sum + own.dot(axis).abs() * half)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_shapes_of_different_parts_are_near() {
+        let bounds = Bounds::Box(Pose::IDENTITY, Vector::splat(1.0));
+        let mut near = Near::default();
+        for (shape, part) in [0, 0, 1].into_iter().enumerate() {
+            near.add([shape, part], &bounds, &Pose::from_translation(Vector::X), 0.0);
+        }
+        let mut found = Vec::new();
+        near.pairs(|pair| found.push(pair));
+        assert_eq!(found, [[0, 2], [1, 2]]);
     }
 }

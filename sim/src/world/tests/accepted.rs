@@ -228,3 +228,23 @@ fn the_spring_of_a_tendon_rests_where_the_springs_of_its_joints_do_unless_length
         assert!(off < 1e-6, "{lengths}: {found:?}");
     }
 }
+
+#[test]
+fn flags_with_mujocos_defaults_are_accepted_and_other_values_of_them_refused() {
+    let flagged = |flags: &str| {
+        let option = format!("><flag {flags}/></option><worldbody>");
+        robot(&document(LOPSIDED, "").replace("/><worldbody>", &option))
+    };
+    for (flag, value, other) in [
+        ("spring", "enable", "disable"),
+        ("damper", "enable", "disable"),
+        ("passive", "enable", "disable"),
+        ("sleep", "disable", "enable"),
+        ("override", "disable", "enable"),
+    ] {
+        assert_eq!(flagged(&format!("{flag}=\"{value}\"")).unwrap().left_out(), [""; 0]);
+        let stated = format!("{flag}=\"{other}\"");
+        let reason = flagged(&stated).err().unwrap();
+        assert!(reason.contains(&format!("{stated} is not supported; remove it")), "{reason}");
+    }
+}

@@ -337,3 +337,23 @@ fn what_differs_of_integrators_servos_and_hulls_is_listed() {
         "the forces of the fluid are explicit, as with integrator=\"Euler\""
     );
 }
+
+#[test]
+fn a_runge_kutta_step_of_rotations_in_space_is_listed_as_less_accurate() {
+    let left_out = |joint: &str, integrator: &str| {
+        let body = format!("<body pos=\"0 0 1\">{joint}<geom size=\"0.1\"/></body>");
+        let option = format!("<option integrator=\"{integrator}\" ");
+        let mjcf = document(&body, "").replace("<option ", &option);
+        robot(&mjcf).unwrap().left_out().join("; ")
+    };
+    let listed = "the Runge-Kutta step of rotations in space has an error of second order, MuJoCo's of fourth: 1 free and \
+        ball joints";
+    for (joint, integrator, expected) in [
+        ("<freejoint/>", "RK4", listed),
+        ("<joint type=\"ball\"/>", "RK4", listed),
+        ("<joint/>", "RK4", ""),
+        ("<freejoint/>", "Euler", ""),
+    ] {
+        assert_eq!(left_out(joint, integrator), expected, "{joint} {integrator}");
+    }
+}
