@@ -176,7 +176,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     }
     if trial.is_cut {
         let secs = LONGEST.as_secs();
-        output::line(format!("stopped after {secs} s of random actions: give `--episodes` to play more"));
+        output::line(format!(
+            "stopped after {secs} s of random actions: give `--episodes` to play more"
+        ));
     }
     output::line(trial.summary());
     let why = "the simulation is unstable, or has more than 2,000 contacts or 100,000 close pairs of shapes at a time: \

@@ -7,7 +7,7 @@ use rapier3d::math::Vector;
 use rapier3d::parry::transformation::try_convex_hull;
 
 use super::document::bounds;
-use super::frame::{cross, dot};
+use super::frame::{Frame, IDENTITY, cross, dot, rotated};
 use super::inertia::{Matrix, Solid};
 use crate::scene::Hull;
 
@@ -79,6 +79,18 @@ impl Mesh {
             }
             None => Ok(self),
         }
+    }
+
+    /// The mesh in the coordinates of a frame.
+    pub(super) fn seen_from(mut self, frame: &Frame) -> Self {
+        if *frame != IDENTITY {
+            let [x, y, z, w] = frame.rotation;
+            for point in &mut self.points {
+                let offset = [0, 1, 2].map(|axis| point[axis] - frame.position[axis]);
+                *point = rotated([-x, -y, -z, w], offset);
+            }
+        }
+        self
     }
 
     /// Multiplies coordinates by `scale`. A reflection also reverses the triangles.

@@ -126,9 +126,14 @@ impl Rules {
         let motion = Motion { coordinates: &coordinates, reference, velocities };
         let mut state = vec![0.0; self.measured.iter().sum()];
         self.measure(&motion, &mut state);
-        let values = self.healthy.iter().map(|(watched, row)| (row, watched.value(&motion, &state)));
+        let values =
+            self.healthy.iter().map(|(watched, row)| (row, watched.value(&motion, &state)));
         let unmet = values.filter(|(row, value)| !row.holds(*value));
-        unmet.map(|(row, value)| format!("`healthy.{}` ({}, is {})", row.name(), row.bounds(), short(value))).collect()
+        unmet
+            .map(|(row, value)| {
+                format!("`healthy.{}` ({}, is {})", row.name(), row.bounds(), short(value))
+            })
+            .collect()
     }
 
     /// Whether the reward depends on the actions of the step before.

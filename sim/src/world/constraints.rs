@@ -14,6 +14,7 @@
 mod contact;
 mod contacts;
 mod couplings;
+mod gyroscopic;
 mod matrix;
 mod motion;
 mod near;
@@ -30,6 +31,7 @@ use rapier3d::prelude::PhysicsWorld;
 use super::HingeDrives;
 use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, unit};
 use contacts::Touching;
+use gyroscopic::LoneLink;
 use matrix::{Factor, dot};
 use motion::{Motion, move_joint};
 use problem::{ConstraintProblem, Kind};
@@ -42,6 +44,8 @@ pub(crate) struct Constraints {
     is_implicit: bool,
     step_secs: f64,
     touching: Touching,
+    /// Links whose gyroscopic forces are implicit.
+    lone: Vec<LoneLink>,
     start: Motion,
     problem: ConstraintProblem,
     /// Mass matrix plus the damping in a step.
@@ -58,12 +62,14 @@ pub(crate) struct Constraints {
 impl Constraints {
     /// Constraints of a robot at rest, for physics steps of `step_secs`.
     pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
+        let is_implicit =
+            robot.blueprint.is_implicit && robot.blueprint.integration == Integration::Euler;
         Self {
             integration: robot.blueprint.integration,
-            is_implicit: robot.blueprint.is_implicit
-                && robot.blueprint.integration == Integration::Euler,
+            is_implicit,
             step_secs: f64::from(step_secs),
             touching: Touching::new(robot),
+            lone: if is_implicit { LoneLink::all(robot) } else { Vec::new() },
             start: Motion::default(),
             problem: ConstraintProblem::default(),
             implicit_mass: Factor::default(),
@@ -138,8 +144,16 @@ impl Constraints {
             self.problem.solve();
         }
         self.problem.total(&mut self.change);
+        let known = (self.implicit_mass.matrix.as_slice(), self.change.as_slice());
+        let lone = self.lone.iter();
+        let lone: Vec<(usize, [f64; 6])> = lone
+            .filter_map(|link| link.accelerations(&self.start, known, self.step_secs))
+            .collect();
         self.implicit_mass.factorise(self.change.len());
         self.implicit_mass.solve(&mut self.change);
+        for (dof, accelerations) in lone {
+            self.change[dof..][..accelerations.len()].copy_from_slice(&accelerations);
+        }
         true
     }
 

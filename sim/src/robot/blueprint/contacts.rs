@@ -190,6 +190,11 @@ impl Blueprint {
                 "needs `solref` with a damping ratio of 1 and `solimp` with midpoint 0.5 and power 2",
             );
         }
+        let mut hinges = self.links.iter().filter_map(LinkPlan::hinge);
+        let is_narrow = |[low, high]: [f32; 2], margin: f32| 2.0 * margin >= high - low;
+        if hinges.any(|hinge| hinge.range.is_some_and(|range| is_narrow(range, hinge.margin))) {
+            return reason("needs joints whose `margin` is less than half their `range`");
+        }
         let free = |joint: &JointPlan| match joint {
             JointPlan::Free(free) | JointPlan::Floating(free) => free.friction,
             _ => 0.0,

@@ -22,7 +22,7 @@ const fn row(attributes: &'static [&'static str], [low, high]: [f64; 2]) -> Boun
 const ALL: [Bounds; 23] = [
     Bounds { unit: " s", ..row(&["timestep"], [1e-5, 0.1]) },
     Bounds { unit: " m/s^2", ..row(&["gravity"], [-1e4, 1e4]) },
-    Bounds { unit: " m", ..row(&["pos", "fromto", "anchor", "vertex"], [-1e4, 1e4]) },
+    Bounds { unit: " m", ..row(&["pos", "refpos", "fromto", "anchor", "vertex"], [-1e4, 1e4]) },
     Bounds { unit: " m", smallest: 1e-6, ..row(&["size"], [0.0, 1e4]) },
     Bounds { unit: " m", ..row(&["margin"], [0.0, 10.0]) },
     Bounds { unit: " kg", smallest: 1e-12, ..row(&["mass"], [0.0, 1e9]) },
@@ -33,7 +33,10 @@ const ALL: [Bounds; 23] = [
     row(&["fitscale"], [1e-6, 1e6]),
     Bounds { unit: " kg m^2", smallest: 1e-15, ..row(&["diaginertia"], [0.0, 1e12]) },
     row(&["boundmass", "boundinertia", "inheritrange", "solmix"], [0.0, 1e9]),
-    row(&["axis", "quat", "axisangle", "euler", "xyaxes", "zaxis", "scale"], [-1e6, 1e6]),
+    row(
+        &["axis", "quat", "refquat", "axisangle", "euler", "xyaxes", "zaxis", "scale"],
+        [-1e6, 1e6],
+    ),
     row(&["range", "ref", "springref", "springlength"], [-1e6, 1e6]),
     row(&["stiffness", "damping", "armature", "frictionloss", "dampratio"], [0.0, 1e12]),
     Bounds { smallest: 1e-6, ..row(&["solref", "solreflimit", "solreffriction"], [-1e9, 1e9]) },

@@ -16,7 +16,7 @@ const DEFAULTS: [&str; 10] =
 /// The default of all actuators without their laws.
 const ACTUATOR: &str = "actuator";
 /// Kinds of actuators that start from the law of a default.
-const LAWS: [&str; 3] = ["general", "position", "velocity"];
+const LAWS: [&str; 4] = ["general", "position", "velocity", "intvelocity"];
 
 /// For each tag the attributes of a class and of its parents. The laws of actuators have the tags of their kinds.
 type Defaults = BTreeMap<String, Rc<Element>>;

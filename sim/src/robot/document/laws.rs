@@ -41,6 +41,8 @@ const GENERAL: [&str; 7] =
     ["gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm", "inheritrange"];
 /// Further attributes of `general`.
 const ACTIVATION: [&str; 3] = ["actlimited", "actrange", "actearly"];
+/// Of `intvelocity`.
+const INTEGRATED: [&str; 5] = ["kp", "kv", "dampratio", "actrange", "actlimited"];
 const POSITION: [&str; 5] = ["kp", "kv", "dampratio", "timeconst", "inheritrange"];
 
 /// Law of an actuator, as attributes of `general`. `base` is the law of its kind in its class.
@@ -59,6 +61,7 @@ pub(super) fn law(element: &Element, base: &Element) -> Result<Element, String> 
         "motor" => (&[], Vec::new()),
         "velocity" => (&["kv"], velocity(element, base)?),
         "position" => (&POSITION, position(element, base)?),
+        "intvelocity" => (&INTEGRATED, integrated(element, base)?),
         // It is refused where an actuator has it.
         kind => return Ok(element.with([("gaintype".to_owned(), kind.to_owned())].into())),
     };
@@ -72,7 +75,7 @@ pub(super) fn overlay(actuator: &mut Element, top: &Element, law: &Element) {
         |name: &&String| GENERAL.contains(&name.as_str()) || POSITION.contains(&name.as_str());
     let rest = top.attributes.iter().filter(|(name, _)| !is_law(name));
     actuator.overlay(&top.with(rest.map(|(name, text)| (name.clone(), text.clone())).collect()));
-    if top.tag == "position" {
+    if ["position", "intvelocity"].contains(&top.tag.as_str()) {
         actuator.attributes.remove("actearly");
     }
     let inherits = top.tag == "position" && top.text("inheritrange").is_some();
@@ -121,6 +124,14 @@ fn position(element: &Element, base: &Element) -> Result<Law, String> {
     if inherited > 0.0 {
         law.push(("inheritrange", inherited.to_string()));
     }
+    Ok(law)
+}
+
+/// A servo of the position whose control is the speed of its target.
+fn integrated(element: &Element, base: &Element) -> Result<Law, String> {
+    let mut law = position(element, base)?;
+    law.retain(|(name, _)| ["gainprm", "biastype", "biasprm"].contains(name));
+    law.push(("dyntype", "integrator".to_owned()));
     Ok(law)
 }
 

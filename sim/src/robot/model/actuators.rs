@@ -14,7 +14,7 @@ use super::links::Links;
 
 /// What else than a joint an actuator of MuJoCo can act on.
 const ELSEWHERE: [&str; 5] = ["site", "refsite", "body", "cranksite", "slidersite"];
-const KINDS: [&str; 4] = ["motor", "position", "velocity", "general"];
+const KINDS: [&str; 5] = ["motor", "position", "velocity", "intvelocity", "general"];
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
@@ -85,7 +85,8 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
         return Err(element.refuse_for(target, reason));
     }
     if !KINDS.contains(&element.tag.as_str()) {
-        let reason = "this actuator is not supported; use motor, position, velocity or general";
+        let reason =
+            "this actuator is not supported; use motor, position, velocity, intvelocity or general";
         return Err(element.refuse(reason));
     }
     let driven = driven(element, context, parts)?;
@@ -142,8 +143,16 @@ fn driven(
     }
     let hinges = joints::hinges(&links.plans);
     let balls: Vec<&Hinge> = links.plans.iter().filter_map(LinkPlan::ball).collect();
-    let known = joints::names(&hinges).chain(joints::names(&balls));
-    let index = context.index(element, attribute, ("hinge, slide or ball joint", known))?;
+    let known: Vec<&str> = joints::names(&hinges).chain(joints::names(&balls)).collect();
+    let mut free = links.plans.iter().filter_map(|link| joints::free_name(&link.joint));
+    if !known.contains(&name.as_str()) && free.any(|free| free == name) {
+        let reason = format!(
+            "`{name}` is a free joint, which no actuator moves here; remove it, or replace the joint by slides and hinges"
+        );
+        return Err(element.refuse_for(attribute, reason));
+    }
+    let index =
+        context.index(element, attribute, ("hinge, slide or ball joint", known.into_iter()))?;
     match hinges.get(index) {
         Some(hinge) => Ok(Driven {
             name,

@@ -53,6 +53,14 @@ pub(super) fn is_free((joint, _): &(Element, Frame)) -> bool {
     joint.tag == "freejoint" || joint.text("type") == Some("free")
 }
 
+/// Name of a free joint; `None` for others.
+pub(super) fn free_name(joint: &JointPlan) -> Option<&str> {
+    match joint {
+        JointPlan::Free(free) | JointPlan::Floating(free) => Some(&free.name),
+        _ => None,
+    }
+}
+
 /// Number of velocities of a joint.
 pub(super) fn velocities(joint: &(Element, Frame)) -> usize {
     match joint.0.text("type") {
@@ -209,10 +217,6 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
     };
     let range = context.limits(joint, |end| (angle(end) - reference) as f32)?;
     let margin = if range.is_some() { number(joint, "margin")? } else { 0.0 };
-    if range.is_some_and(|[low, high]| 2.0 * margin >= high - low) {
-        let reason = "`margin` must be less than half the `range`; lower it";
-        return Err(joint.refuse_for("margin", reason));
-    }
     let torque_range = context.range(joint, ["actuatorfrcrange", "actuatorfrclimited"])?;
     Ok(Hinge {
         name,

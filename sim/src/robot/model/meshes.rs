@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::super::document::{Classes, Element};
 use super::super::folder::Folder;
+use super::super::frame::{Frame, normalized};
 use super::super::inertia::Solid;
 use super::super::mesh::{Mesh, Volume};
 use super::blockers::Blockers;
@@ -163,9 +164,12 @@ impl Asset {
             Some((path, bytes)) => Mesh::read(&path, &bytes).map_err(refused)?,
             None => Mesh::new(self.points("vertex")?, self.triangles()?).map_err(refused)?,
         };
-        if element.text("refpos").or(element.text("refquat")).is_some() {
-            return Err(element.refuse("`refpos` and `refquat` are not supported; remove them"));
-        }
+        let [w, x, y, z] = element.numbers("refquat")?.unwrap_or([1.0, 0.0, 0.0, 0.0]);
+        let rotation = normalized([x, y, z, w]).ok_or_else(|| {
+            element.refuse_for("refquat", "`refquat` has no direction; correct its numbers")
+        })?;
+        let position = element.numbers("refpos")?.unwrap_or([0.0; 3]);
+        let mesh = mesh.seen_from(&Frame { position, rotation });
         Ok(mesh.scaled(element.numbers("scale")?.unwrap_or([1.0; 3])))
     }
 

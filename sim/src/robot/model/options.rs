@@ -366,7 +366,7 @@ fn differences(option: &Element, flags: &Element) -> Result<Vec<String>, String>
             .push(format!("constraints are solved to convergence, not in {iterations} iterations"));
     }
     if option.text("integrator") == Some("implicit") {
-        let what = "the integrator is `implicitfast`, without derivatives of Coriolis and gyroscopic forces";
+        let what = "the integrator is `implicitfast`: only single free bodies have derivatives of gyroscopic forces";
         left_out.push(what.to_owned());
     }
     for (flag, what) in KEPT {

@@ -182,19 +182,6 @@ fn invalid_rows_of_bodies_are_refused_with_their_key() {
             [row("of = \"ball\""), row("of = \"ball\"")].concat(),
             "state.bodies states the feature `ball/world.x.position` twice",
         ),
-        (
-            row("of = \"ball\"\nfrom = \"ball\""),
-            "state.bodies (ball/ball): `of` and `from` are the same body; name another one",
-        ),
-        (row("of = \"world\""), "state.bodies (world/world): `of` and `from` are the same body"),
-        (
-            term("term = \"distance\"\nof = \"ball\"\nto = \"ball\""),
-            "reward.distance measures from `ball` to itself; name another body or a point in `to`",
-        ),
-        (
-            term("term = \"approach\"\nof = \"ball\"\nto = \"ball\""),
-            "reward.approach measures from `ball` to itself",
-        ),
         (term("term = \"height\""), "reward.height needs the key `of`"),
         (term("term = \"height\"\nof = \"cup\""), "reward.height.of: the robot has no body `cup`"),
         (term("term = \"approach\"\nof = \"ball\""), "reward.approach needs the key `to`"),
@@ -227,6 +214,30 @@ fn invalid_rows_of_bodies_are_refused_with_their_key() {
         (
             "[start.noise]\n\"ball.w\" = { uniform = 0.1 }\n".to_owned(),
             "start.noise: the robot has no coordinate `ball.w`",
+        ),
+    ] {
+        let message = team(&lines, ObservationMode::FullId).err().expect(part);
+        assert!(message.contains(part) && !message.contains('\n'), "{part}: {message}");
+    }
+}
+
+#[test]
+fn a_body_is_not_measured_from_itself() {
+    let row = |lines: &str| format!("[[state.bodies]]\n{lines}\n");
+    let term = |lines: &str| format!("[[reward]]\nweight = 1.0\n{lines}\n");
+    for (lines, part) in [
+        (
+            row("of = \"ball\"\nfrom = \"ball\""),
+            "state.bodies (ball/ball): `of` and `from` are the same body; name another one",
+        ),
+        (row("of = \"world\""), "state.bodies (world/world): `of` and `from` are the same body"),
+        (
+            term("term = \"distance\"\nof = \"ball\"\nto = \"ball\""),
+            "reward.distance measures from `ball` to itself; name another body or a point in `to`",
+        ),
+        (
+            term("term = \"approach\"\nof = \"ball\"\nto = \"ball\""),
+            "reward.approach measures from `ball` to itself",
         ),
     ] {
         let message = team(&lines, ObservationMode::FullId).err().expect(part);

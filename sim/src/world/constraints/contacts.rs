@@ -54,6 +54,15 @@ struct TouchShape {
     form: TouchForm,
 }
 
+/// Makes shapes of links that touch by rules of their own parts, since they may touch other shapes of their links.
+fn separate(shapes: &mut [TouchShape], blueprint: &Blueprint) {
+    for index in blueprint.contacts.pairs.iter().flat_map(|pair| pair.shapes) {
+        if matches!(shapes[index].kind, TouchKind::Link(_)) {
+            shapes[index].part = blueprint.links.len() + 1 + index;
+        }
+    }
+}
+
 /// What a shape is a part of.
 #[derive(Clone, Copy, PartialEq)]
 enum TouchKind {
@@ -128,12 +137,7 @@ impl Touching {
             },
         });
         let mut shapes: Vec<TouchShape> = moving.chain(fixed).collect();
-        for index in blueprint.contacts.pairs.iter().flat_map(|pair| pair.shapes) {
-            // It may touch another shape of its link.
-            if matches!(shapes[index].kind, TouchKind::Link(_)) {
-                shapes[index].part = blueprint.links.len() + 1 + index;
-            }
-        }
+        separate(&mut shapes, blueprint);
         for (handle, collider) in robot.template.colliders.iter() {
             shapes[shape_of(collider)].collider = Some(handle);
         }

@@ -56,13 +56,13 @@ pub(super) struct LinkMotion {
 
 /// Links that move as one.
 #[derive(Clone, Copy)]
-struct Branch {
+pub(super) struct Branch {
     /// kg.
     mass: f64,
     /// Mass times the position of the mass centre from the origin, kg m.
-    moment: DVec3,
+    pub(super) moment: DVec3,
     /// Inertia about the origin, kg m^2.
-    inertia: DMat3,
+    pub(super) inertia: DMat3,
     /// Force, N, and torque about the origin, N m, on the links, less what their motion at constant velocities needs.
     pull: [DVec3; 2],
 }
@@ -239,6 +239,11 @@ impl LinkMotion {
         self.weight = self.mass * f64::from(body.gravity_scale());
         self.inertia = turn * DMat3::from_cols_array(&axes) * turn.transpose();
         self.pull = [wide(body.user_force()), wide(body.user_torque())];
+    }
+
+    /// The link with all links that hang on it.
+    pub(super) fn branch(&self) -> &Branch {
+        &self.branch
     }
 
     /// Acceleration of one of its points while all velocities of the joints are constant, m/s^2.

@@ -248,3 +248,23 @@ fn flags_with_mujocos_defaults_are_accepted_and_other_values_of_them_refused() {
         assert!(reason.contains(&format!("{stated} is not supported; remove it")), "{reason}");
     }
 }
+
+/// MuJoCo 4.0.0 has this mass, mass centre and these principal moments.
+#[test]
+fn a_mesh_is_seen_from_its_reference_frame_before_it_is_scaled() {
+    let mesh = "<asset><mesh name=\"m\" vertex=\"0 0 0 1 0 0 0 2 0 0 0 3\" refpos=\".1 .2 .3\" refquat=\"2 1 0 .5\" \
+        scale=\"1 2 -1\" inertia=\"exact\"/></asset>";
+    let body = "<body name=\"b\"><freejoint/><geom type=\"mesh\" mesh=\"m\"/></body>";
+    let mjcf = document(body, "").replace("<worldbody>", &format!("{mesh}<worldbody>"));
+    let built = robot(&mjcf).unwrap();
+    let mass = &built.blueprint.links[0].mass;
+    let mut moments = mass.principal_inertia().to_array();
+    moments.sort_by(f32::total_cmp);
+    let found = [&[mass.mass()], &mass.local_com.to_array()[..], &moments].concat();
+    let expected = [2000.0, 0.335714, 0.885714, -0.078571, 472.472, 1909.126, 2291.191];
+    for (got, want) in found.iter().zip(expected) {
+        assert!((got - want).abs() <= 1e-4 * want.abs(), "{found:?}");
+    }
+    let turned = robot(&mjcf.replace("2 1 0 .5", "0 0 0 0")).err().unwrap();
+    assert!(turned.contains("`refquat` has no direction"), "{turned}");
+}

@@ -330,7 +330,7 @@ fn what_differs_of_integrators_servos_and_hulls_is_listed() {
     );
     assert_eq!(
         left_out("implicitfast", "implicit"),
-        "the integrator is `implicitfast`, without derivatives of Coriolis and gyroscopic forces"
+        "the integrator is `implicitfast`: only single free bodies have derivatives of gyroscopic forces"
     );
     assert_eq!(
         left_out("<option ", "<option viscosity=\"0.1\" "),

@@ -125,3 +125,75 @@ fn motions_in_a_fluid_and_with_runge_kutta_continue_bit_for_bit() {
         assert_continues_bit_for_bit([world(), world()], &at, &speeds, &[0.2]);
     }
 }
+
+/// MuJoCo 4.0.0 after 100 steps of 5 ms. Its Euler integrator is explicit, and gets elsewhere.
+#[test]
+fn implicit_integrators_take_the_gyroscopic_forces_of_single_free_bodies_as_mujoco_does() {
+    let level = [0.05, 0.1, 0.85, 0.024091, -0.204358, 0.12408, 0.970702];
+    let aside = [0.435467, 0.007821, 0.76016, 0.024091, -0.204358, 0.12408, 0.970702];
+    let welded = [0.43533, 0.007756, 0.760233, 0.024059, -0.204274, 0.12405, 0.970724];
+    let explicit = [0.434649, 0.010857, 0.757325, 0.007531, -0.213549, 0.105278, 0.971214];
+    let [empty, ball] = ["<site/>", "<geom size=\".01\"/>"]
+        .map(|inside| format!("<body pos=\"0 0 .1\">{inside}</body>"));
+    let at = ".05 -.02 .1";
+    for (integrator, pos, child, expected) in [
+        ("implicitfast", "0 0 0", "", level),
+        ("implicitfast", at, "", aside),
+        ("implicit", at, "", aside),
+        ("implicitfast", at, &empty, aside),
+        ("implicitfast", at, &ball, welded),
+        ("Euler", at, "", explicit),
+    ] {
+        let mut world = world_of(&format!(
+            "<mujoco><option timestep=\".005\" gravity=\"0 0 0\" integrator=\"{integrator}\"/><worldbody>\
+             <body pos=\"0 0 1\"><freejoint/><geom type=\"box\" size=\".1 .2 .03\" pos=\"{pos}\"/>{child}</body>\
+             </worldbody></mujoco>"
+        ));
+        let rest = world.robot().rest().to_vec();
+        world.rebuild(&rest, &[0.1, 0.2, -0.3, 3.0, 4.0, 5.0]);
+        for _ in 0..100 {
+            assert!(world.step(&[]));
+        }
+        let at = motion(&world).0;
+        let off = at.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off < 5e-5, "{integrator} {pos} {child}: {at:?}");
+    }
+}
+
+/// MuJoCo 4.0.0 after a second. The control is the speed of the target, which stays in `actrange`.
+#[test]
+fn an_intvelocity_actuator_follows_its_integrated_control_as_mujocos_does() {
+    let mut world = world_of(
+        "<mujoco><option timestep=\".002\" integrator=\"implicitfast\"/><worldbody><body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\"/>\
+         <geom size=\".05\" pos=\".3 0 0\" mass=\"1\"/></body></worldbody><actuator>\
+         <intvelocity joint=\"j\" kp=\"40\" kv=\"3\" actrange=\"-1 1\" ctrlrange=\"-2 2\"/></actuator></mujoco>",
+    );
+    for _ in 0..500 {
+        assert!(world.step(&[1.2]));
+    }
+    let at = motion(&world).0[0];
+    assert!((at - 1.040807).abs() < 1e-4, "{at}");
+}
+
+/// MuJoCo 4.0.0 after 0.1 s and 0.5 s.
+#[test]
+fn both_ends_of_a_range_push_where_their_margins_overlap() {
+    for (margin, [first, then]) in
+        [(".3", [0.048185, 0.049677]), (".5", [0.048103, 0.049677]), ("2", [0.048103, 0.049677])]
+    {
+        let mut world = world_of(&format!(
+            "<mujoco><option timestep=\".001\"/><compiler angle=\"radian\"/><worldbody><body pos=\"0 0 1\">\
+             <joint name=\"j\" axis=\"0 -1 0\" range=\"-.2 .3\" margin=\"{margin}\"/>\
+             <geom size=\".05\" pos=\".3 0 0\" mass=\"1\"/></body></worldbody></mujoco>"
+        ));
+        let rest = world.robot().rest().to_vec();
+        world.rebuild(&rest, &[1.0]);
+        for (steps, expected) in [(100, first), (400, then)] {
+            for _ in 0..steps {
+                assert!(world.step(&[]));
+            }
+            let at = motion(&world).0[0];
+            assert!((at - expected).abs() < 5e-5, "{margin}: {at} against {expected}");
+        }
+    }
+}

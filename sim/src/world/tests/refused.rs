@@ -196,6 +196,10 @@ fn refused_actuators_are_named_with_their_lines() {
             actuator("<motor tendon=\"t\" ctrlrange=\"-1 1\"/>"),
             "line 6, <motor>: no fixed tendon has the name `t`; there is none",
         ),
+        (
+            actuator("<motor joint=\"root\" ctrlrange=\"-1 1\"/>"),
+            "line 6, <motor joint=\"root\">: `root` is a free joint, which no actuator moves here",
+        ),
         (actuator("<replicate count=\"2\"/>"), "line 6, <replicate>: this actuator"),
         (actuator("<muscle joint=\"j\"/>"), "line 6, <muscle joint=\"j\">: this actuator"),
         (
