@@ -48,7 +48,8 @@ pub(super) fn run(arguments: &PackArguments) -> anyhow::Result<()> {
     }
     written.with_context(|| format!("{} cannot be packed", run.display()))?;
     let (iterations, checkpoints) = (chart::thousands(recorded.last()), recorded.checkpoints.len());
-    output::line(format!("{shown}: {iterations} iterations, {checkpoints} checkpoints"));
+    let end = recorded.unfinished();
+    output::line(format!("{shown}: {iterations} iterations, {checkpoints} checkpoints{end}"));
     output::line(format!("next:\n  s2mia verify {}", shell::path(&pack)));
     Ok(())
 }

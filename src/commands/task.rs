@@ -112,8 +112,7 @@ pub(super) fn run(command: &TaskCommand) -> anyhow::Result<()> {
 }
 
 fn world(task: &str) -> anyhow::Result<Box<dyn EnvironmentBatch>> {
-    let config = RunConfig::with(&[task])?;
-    sim::environments(&config.task, 1).with_context(|| format!("cannot build {task}"))
+    Ok(RunConfig::with(&[task])?.environments(1)?)
 }
 
 fn as_json(task: &EnvironmentSpec) -> serde_json::Value {
@@ -149,7 +148,7 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     let film = film.map(|path| Target::named("--film", path, "png", arguments.force.existing()));
     let film = film.transpose()?;
     let config = RunConfig::with(&[&format!("task={}", arguments.task)])?;
-    let mut world = sim::environments(&config.task, 1).context("cannot build the task")?;
+    let mut world = config.environments(1)?;
     let Some(robot) = world.robot() else {
         let why = format!("{} is a game: it has no robot to check", arguments.task);
         return Err(Usage::new(why).into());

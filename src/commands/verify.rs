@@ -70,9 +70,10 @@ fn verify(run: &Path, count: u64) -> anyhow::Result<String> {
     }
     let (iterations, all) = (chart::thousands(iterations), chart::thousands(recorded.last()));
     let (run, evaluations, made) = (run.display(), evaluations.len(), recorded.evaluations.len());
+    let end = recorded.unfinished();
     Ok(format!(
         "{run} is verified: {iterations} of its {all} iterations and {evaluations} of its {made} evaluations have the recorded \
-         results"
+         results{end}"
     ))
 }
 

@@ -8,13 +8,12 @@ use policy::setting::{SettingError, between, within};
 use proto::EnvironmentSpec;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use sim::{ObservationNorm, TaskDefinition};
+use sim::{EnvironmentBatch, ObservationNorm, TaskDefinition};
 
 use super::conditions::RunContext;
 use super::layers::{self, Request};
 use super::resolved::{ConfigError, Resolved, in_words};
 use super::{agents, effect, keys, known, message_steps, own_task, rules};
-use crate::errors::Usage;
 use crate::run::start;
 
 /// More actor processes than this on one machine are a mistake.
@@ -187,13 +186,25 @@ impl RunConfig {
     }
 
     /// Refuses a task of the simulator that cannot be built with these settings, or whose agents do not suit them.
-    pub(crate) fn demand_task(&self) -> anyhow::Result<()> {
+    pub(crate) fn demand_task(&self) -> Result<(), ConfigError> {
         if !self.environment.url.is_empty() {
             return Ok(());
         }
-        let world = sim::environments(&self.task, 1);
-        let world = world.map_err(|why| Usage::new(format!("cannot build the task: {why}")))?;
-        Ok(self.demand_suitable(Some(world.description()))?)
+        self.demand_suitable(Some(self.environments(1)?.description()))
+    }
+
+    /// Environments of the simulator's task.
+    ///
+    /// # Errors
+    /// As of [`sim::environments`], with the place that chose the task.
+    pub(crate) fn environments(
+        &self,
+        count: usize,
+    ) -> Result<Box<dyn EnvironmentBatch>, ConfigError> {
+        sim::environments(&self.task, count).map_err(|why| {
+            let detail = format!("cannot build the task: {why}");
+            ConfigError::refused(&self.resolved, &["task"], &detail)
+        })
     }
 
     /// Refuses weights of reward terms that the task does not have.

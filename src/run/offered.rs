@@ -53,7 +53,7 @@ impl Offered {
 }
 
 fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
-    let world = sim::environments(&config.task, 1).context("cannot build the task")?;
+    let world = config.environments(1)?;
     let own = config.task.definition.as_ref().and_then(|_| world.robot());
     let left_out = own.map(sim::Robot::left_out).unwrap_or_default();
     left_out.iter().for_each(|what| tracing::warn!("left out: {what}"));
@@ -107,8 +107,7 @@ impl RunEnvironment {
     pub(crate) fn of(config: &RunConfig) -> anyhow::Result<Self> {
         let url = config.environment.url.as_str();
         if url.is_empty() {
-            let mut environment =
-                sim::environments(&config.task, 1).context("cannot build the task")?;
+            let mut environment = config.environments(1)?;
             environment.set_disturbances(Disturbances::AsInEvaluations);
             return Ok(Self { environment, _network: None });
         }

@@ -15,6 +15,7 @@ use serde_json::Value;
 
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
+use crate::figures::chart;
 use crate::run::start;
 use crate::run::stored::{own_settings, settings_in};
 
@@ -85,6 +86,18 @@ impl Recorded {
     /// The last iteration with a line in `provenance.jsonl`.
     pub(crate) fn last(&self) -> u64 {
         last(&self.provenance)
+    }
+
+    /// What to say of records that end before the run of these settings does, after a semicolon.
+    pub(crate) fn unfinished(&self) -> String {
+        let whole = self.config.iterations();
+        if self.last() >= whole {
+            return String::new();
+        }
+        let whole = chart::thousands(whole);
+        format!(
+            "; its settings have {whole} iterations, so it was stopped, or its records were cut off"
+        )
     }
 
     /// Hash of the run's semantic settings.

@@ -97,6 +97,33 @@ fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_fo
 }
 
 #[test]
+fn records_that_end_before_the_run_of_their_settings_are_said_to_be_cut_off() {
+    let runs = Runs::new();
+    let run = runs.folder("run");
+    train(&run, &[SIX]);
+    for file in ["metrics.jsonl", "provenance.jsonl"] {
+        let path = run.join(file);
+        let kept = fs::read_to_string(&path).unwrap();
+        let kept = kept.lines().filter(|line| {
+            let line: Value = serde_json::from_str(line).unwrap();
+            line["iteration"].as_u64().unwrap() <= 2
+        });
+        let kept: String = kept.map(|line| format!("{line}\n")).collect();
+        fs::write(&path, kept).unwrap();
+    }
+    for later in ["iter_00000004", "iter_00000006"] {
+        fs::remove_dir_all(run.join("checkpoints").join(later)).unwrap();
+    }
+    fs::write(run.join("checkpoints/LATEST"), "iter_00000002\n").unwrap();
+    let pack = runs.folder("pack");
+    let cut = "; its settings have 6 iterations, so it was stopped, or its records were cut off";
+    let packed = succeeded(&["pack", text(&run), "--out", text(&pack)]);
+    assert!(packed.contains(&format!("2 iterations, 1 checkpoints{cut}")), "{packed}");
+    let (told, _) = success(&mut command(&whole(&pack)));
+    assert!(told.contains("2 of its 2 iterations") && told.contains(cut), "{told}");
+}
+
+#[test]
 fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
     let runs = Runs::new();
     let run = runs.folder("run");

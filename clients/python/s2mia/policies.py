@@ -10,17 +10,22 @@ import numpy as np
 from s2mia._native import Team as Native
 from s2mia.acting import Acting, Agent, Description
 from s2mia.error import RunError
+from s2mia.settings import task_text
 from s2mia.values import Numbers, agent_fields, checked_seed
 
 
 class Policies(Acting):
-    """The policies of a run. `load` and `pretrained` return them."""
+    """The policies of a run. `load` and `pretrained` return them. A copy, or what is unpickled, is loaded and begins anew."""
 
-    def __init__(self, native: Native) -> None:
+    def __init__(self, native: Native, made: tuple[Any, ...]) -> None:
         about: dict[str, Any] = json.loads(native.description)
         agents = [Agent(**agent_fields(own)) for own in about.pop("agents")]
         super().__init__(Description(agents=agents, **about))
         self._native = native
+        self._made = made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._made
 
     def close(self) -> None:
         """Does nothing: there is no connection, and the team still acts."""
@@ -48,7 +53,13 @@ def load(
     `RunError` if there is no valid checkpoint.
     """
     which = None if checkpoint is None else str(checkpoint)
-    return _made(lambda own: Native(os.fspath(run), own, which), seed)
+    folder = os.path.abspath(os.path.expanduser(run))
+    return _made(lambda own: Native(os.fspath(run), own, which), seed, (_again, (folder, seed, which)))
+
+
+def _again(run: str, seed: int | None, checkpoint: str | None) -> Policies:
+    """The policies of a copy."""
+    return load(run, seed, checkpoint=checkpoint)
 
 
 def pretrained(task: str, seed: int | None = None) -> Policies:
@@ -56,12 +67,14 @@ def pretrained(task: str, seed: int | None = None) -> Policies:
 
     Raises `RunError` if there is none; its line names the nearest task, or all that have a team.
     """
-    return _made(lambda own: Native.pretrained(task, own), seed)
+    name = task_text(task)
+    return _made(lambda own: Native.pretrained(name, own), seed, (pretrained, (name, seed)))
 
 
-def _made(native: Callable[[int | None], Native], seed: int | None) -> Policies:
+def _made(native: Callable[[int | None], Native], seed: int | None, made: tuple[Any, ...]) -> Policies:
+    """Policies of `native` for a checked seed; `made` makes them once more."""
     own = checked_seed(seed)
     try:
-        return Policies(native(own))
+        return Policies(native(own), made)
     except ValueError as error:
         raise RunError(str(error)) from None

@@ -11,23 +11,36 @@ import tempfile
 from typing import IO, TYPE_CHECKING, Any
 
 from s2mia.error import RunError
-from s2mia.settings import arguments
+from s2mia.settings import arguments, assignments
 
 if TYPE_CHECKING:
     from s2mia.policies import Policies
 
 
+# Files that every run has.
+_CONFIG, _MANIFEST = "config.toml", "manifest.json"
+# The file of policies in a checkpoint, which has these two files, too.
+_POLICY = "policy.safetensors"
+
+
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A run folder. The run may have ended, been stopped, or still be training. Raises `RunError` for a folder of no run."""
+    """A run folder, also given by one of its checkpoints. The run may have ended, been stopped, or still be training.
+
+    Raises `RunError` for a folder of no run.
+    """
 
     folder: pathlib.Path
+    """Its absolute path."""
 
     def __post_init__(self) -> None:
-        # A path may be given as a string, too.
-        object.__setattr__(self, "folder", pathlib.Path(self.folder))
-        if not (self.folder / "config.toml").is_file():
-            raise RunError(f"{self.folder} is no run: it has no config.toml")
+        given = pathlib.Path(self.folder)
+        found = run_of(given)
+        if not is_run(found):
+            missing = next((name for name in (_CONFIG, _MANIFEST) if not (found / name).is_file()), None)
+            what = f"it has no {missing}" if missing else "it is a checkpoint without its run"
+            raise RunError(f"{given} is no run: {what}")
+        object.__setattr__(self, "folder", found.absolute())
 
     @property
     def metrics(self) -> list[dict[str, Any]]:
@@ -39,12 +52,21 @@ class Run:
         """The figures of each evaluation, for example `env_steps` and `mean`, the mean return."""
         return [line for line in lines(self.folder) if line["kind"] == "evaluation"]
 
-    def load(self, seed: int | None = None) -> "Policies":
-        """The newest policies, as `s2mia.load` returns them."""
+    def load(
+        self, seed: int | None = None, *, checkpoint: str | int | os.PathLike[str] | None = None
+    ) -> "Policies":
+        """The newest policies, or those of a checkpoint, as `s2mia.load` returns them."""
         # Only this needs the native module.
         from s2mia.policies import load
 
-        return load(self.folder, seed)
+        return load(self.folder, seed, checkpoint=checkpoint)
+
+    def resume(self, *, progress: bool = False, **settings: Any) -> "Run":
+        """Trains from the newest checkpoint to the end of the run, as `train` does, and returns the run.
+
+        `settings` are those that may change, such as `run__env_steps`.
+        """
+        return _trained(["--resume", str(self.folder), *assignments(settings)], progress)
 
 
 def train(task: str | os.PathLike[str], *, progress: bool = False, **settings: Any) -> Run:
@@ -55,9 +77,13 @@ def train(task: str | os.PathLike[str], *, progress: bool = False, **settings: A
     `KeyboardInterrupt`. Raises `ValueError` for a value that no setting has, and `RunError` with the program's line if
     it refuses a setting or fails.
     """
-    words = [_program(), "train", "--stop-with-stdin", *arguments(task, settings)]
+    return _trained(arguments(task, settings), progress)
+
+
+def _trained(words: list[str], progress: bool) -> Run:
+    """The run that `s2mia train` with these arguments has trained."""
     with tempfile.TemporaryFile("w+", errors="replace") as errors:
-        opening, status = _finished(words, errors, progress)
+        opening, status = _finished([_program(), "train", "--stop-with-stdin", *words], errors, progress)
         if status or ": task " not in opening:
             raise RunError(_failure(errors, status))
     return Run(pathlib.Path(opening.rpartition(": task ")[0]).absolute())
@@ -107,6 +133,18 @@ def _program() -> str:
     return found
 
 
+def is_run(path: pathlib.Path) -> bool:
+    """Whether a folder is a run's. A checkpoint has the same files and its policies."""
+    return all((path / name).is_file() for name in (_CONFIG, _MANIFEST)) and not (path / _POLICY).exists()
+
+
+def run_of(path: pathlib.Path) -> pathlib.Path:
+    """The run of a checkpoint in its place, otherwise the path."""
+    if (path / _POLICY).is_file() and is_run(above := path.resolve().parent.parent):
+        return above
+    return path
+
+
 def read(path: pathlib.Path) -> bytes:
     """The bytes of a file of a run. Raises `RunError` if it cannot be read."""
     try:
@@ -127,9 +165,12 @@ def parsed(text: bytes, place: str | pathlib.Path) -> dict[str, Any]:
 
 
 def lines(run: pathlib.Path) -> list[dict[str, Any]]:
-    """The lines of `metrics.jsonl`. A run that is writing may have an unfinished last line, which is omitted."""
+    """The lines of `metrics.jsonl`, none before it exists.
+
+    A run that is writing may have an unfinished last line, which is omitted. Raises `RunError` if the run is gone.
+    """
     path = run / "metrics.jsonl"
-    data = read(path) if path.exists() else b""
+    data = read(path) if path.exists() or not is_run(run) else b""
     found = [parsed(line, f"{path}:{number}") for number, line in enumerate(data.split(b"\n")[:-1], 1)]
     for number, line in enumerate(found, 1):
         if not isinstance(line.get("kind"), str):

@@ -13,12 +13,32 @@ def by_key(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {key.replace("__", "."): value for key, value in settings.items()}
 
 
+def task_text(task: str | os.PathLike[str]) -> str:
+    """The task as a text. Raises `ValueError` if it is neither a name nor a path."""
+    try:
+        return os.fspath(task)
+    except TypeError:
+        raise ValueError(f"task is {task!r}; it is a name or the path of a task file") from None
+
+
+def absolute(task: str | os.PathLike[str]) -> str:
+    """The task, which is a name or a task file, with the file's absolute path."""
+    text = task_text(task)
+    is_file = text.endswith(".toml") or ".toml:" in text or os.sep in text
+    return os.path.abspath(text) if is_file and not text.startswith("~") else text
+
+
 def arguments(task: str | os.PathLike[str], settings: Mapping[str, Any]) -> list[str]:
     """A task, which is a name or a task file, and its settings as arguments of the program.
 
-    Raises `ValueError` for a value that is neither a truth value nor a number nor a text.
+    Raises `ValueError` for another task, and for a value that is neither a truth value nor a number nor a text.
     """
-    return [f"task={os.fspath(task)}", *(f"{key}={_text(key, value)}" for key, value in by_key(settings).items())]
+    return [f"task={task_text(task)}", *assignments(settings)]
+
+
+def assignments(settings: Mapping[str, Any]) -> list[str]:
+    """Settings as arguments of the program. Raises `ValueError` as `arguments` does."""
+    return [f"{key}={_text(key, value)}" for key, value in by_key(settings).items()]
 
 
 def _text(key: str, value: Any) -> str:

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from s2mia._native import Environments
-from s2mia.settings import arguments, by_key
+from s2mia.settings import absolute, arguments, by_key
 from s2mia.values import AgentSpec, Numbers, agent_fields, checked_seed, whole
 
 RENDER_MODE = "rgb_array"
 _REWARD = struct.Struct("<f")
+MOST_ENVIRONMENTS, MOST_THREADS = 65_536, 1024
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,11 @@ class Simulator:
         if own is not None and settings.get("run.seed", own) != own:
             raise ValueError(f"seed is {own} and run.seed is {settings['run.seed']}; give one of them")
         seeded = {} if own is None else {"run.seed": own}
-        self._arguments = (task, settings, seed, disturbances, num_envs, threads)
-        self.num_envs = num_envs
-        self.native = Environments(arguments(task, {**settings, **seeded}), num_envs, threads, disturbances)
+        self.num_envs = whole("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
+        threads = whole("threads", threads, 1, MOST_THREADS)
+        # A copy may be made in another folder.
+        self._arguments = (absolute(task), settings, seed, disturbances, self.num_envs, threads)
+        self.native = Environments(arguments(task, {**settings, **seeded}), self.num_envs, threads, disturbances)
         about: dict[str, Any] = json.loads(self.native.task())
         agents = [AgentSpec(**agent_fields(own)) for own in about.pop("agents")]
         self.task = TaskSpec(agents=agents, **about)
@@ -120,8 +123,12 @@ class OneEnvironment:
         return self.simulator.native.save(0)
 
     def restore(self, state: bytes) -> None:
-        """Continues from an exact state, of this task. Raises `ValueError` for other bytes, and changes nothing."""
-        self.simulator.native.restore(0, state)
+        """Continues from an exact state, of this task. Raises `ValueError` for anything else, and changes nothing."""
+        try:
+            exact = bytes(memoryview(state))
+        except TypeError:
+            raise ValueError(f"the state is a {type(state).__name__}; it is the bytes that save() returns") from None
+        self.simulator.native.restore(0, exact)
         self.is_running = True
 
     def render(self) -> NDArray[np.uint8]:

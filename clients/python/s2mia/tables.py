@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from s2mia.error import RunError
-from s2mia.run import lines, parsed, read
+from s2mia.run import is_run, lines, parsed, read, run_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -19,8 +19,6 @@ try:
 except ModuleNotFoundError as missing:
     raise ModuleNotFoundError("s2mia.runs needs pandas: pip install 's2mia[pandas]'") from missing
 
-# The file of policies in a checkpoint.
-POLICY = "policy.safetensors"
 # Settings that every table shows.
 _ALWAYS = ["task", "algorithm", "run.seed"]
 # Settings that differ between runs without a meaning for the result.
@@ -48,8 +46,7 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
     root = pathlib.Path(folder)
     if not root.is_dir():
         raise RunError(f"{root} is no folder")
-    if (root / POLICY).is_file() and _is_run(above := root.resolve().parent.parent):
-        root = above
+    root = run_of(root)
     found = list(_run_folders(root))
     if not found:
         raise RunError(f"{root} holds no run: no folder in it has a config.toml and a manifest.json")
@@ -74,15 +71,10 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
     return Runs(table, metrics, evaluations)
 
 
-def _is_run(path: pathlib.Path) -> bool:
-    """Whether a folder is a run's. A checkpoint has the same files and its policies."""
-    return all((path / name).is_file() for name in ("config.toml", "manifest.json")) and not (path / POLICY).exists()
-
-
 def _run_folders(root: pathlib.Path) -> Iterator[pathlib.Path]:
     """Run folders in the order of their paths. Nothing in a run folder is another run."""
     for place, folders, _ in os.walk(root, onerror=_refuse):
-        if _is_run(path := pathlib.Path(place)):
+        if is_run(path := pathlib.Path(place)):
             folders.clear()
             yield path
         folders.sort()

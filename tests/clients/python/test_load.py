@@ -1,6 +1,8 @@
 """Policies of a run folder act as the program acts, bit for bit, and what cannot be loaded is refused in one line."""
 
+import copy
 import hashlib
+import pickle
 import re
 import shutil
 
@@ -41,6 +43,16 @@ def test_an_episode_is_acted_with_the_bits_of_the_program(played):
             acted = team.act({agent: rows[step] for agent, rows in observations.items()})
             for agent, own in acted.items():
                 assert own.tobytes() == actions[agent][step].astype(own.dtype).tobytes(), (agent, step)
+
+
+def test_a_copy_of_policies_begins_as_they_did(played):
+    run, observations, actions = played
+    team = s2mia.load(run)
+    first = {agent: rows[0] for agent, rows in observations.items()}
+    team.act(first)
+    for again in (copy.deepcopy(team), pickle.loads(pickle.dumps(team))):
+        for agent, own in again.act(first).items():
+            assert own.tobytes() == actions[agent][0].astype(own.dtype).tobytes(), agent
 
 
 def test_an_array_of_all_agents_has_the_actions_of_the_dictionary(played):

@@ -35,6 +35,37 @@ def test_a_folder_without_a_run_is_refused(tmp_path, kind):
         s2mia.Run(kind(tmp_path / "nowhere"))
 
 
+def test_a_folder_with_any_config_or_a_checkpoint_alone_is_no_run(tmp_path):
+    (tmp_path / "config.toml").write_text("x = 1\n")
+    with pytest.raises(s2mia.RunError, match="is no run: it has no manifest.json$"):
+        s2mia.Run(tmp_path)
+    for name in ("manifest.json", "policy.safetensors"):
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(s2mia.RunError, match="is no run: it is a checkpoint without its run$"):
+        s2mia.Run(tmp_path)
+
+
+def test_a_run_is_found_by_its_checkpoint_and_from_any_folder_and_missed_when_it_is_gone(tmp_path, monkeypatch):
+    made = s2mia.train("cue-2x1", run__dir=tmp_path / "run", **SHORT)
+    monkeypatch.chdir(tmp_path)
+    run = s2mia.Run("run")
+    monkeypatch.chdir("/")
+    assert run == made and run.metrics
+    assert s2mia.Run(run.folder / "checkpoints" / "iter_00000003") == run
+    assert run.load(checkpoint=3).description.iteration == 3
+    run.folder.rename(tmp_path / "elsewhere")
+    with pytest.raises(s2mia.RunError, match="metrics.jsonl cannot be read: No such file or directory$"):
+        run.metrics  # noqa: B018
+
+
+def test_a_run_is_resumed_with_settings_that_may_change(tmp_path):
+    run = s2mia.train("cue-2x1", run__dir=tmp_path / "run", **SHORT)
+    assert run.resume(run__iterations=4) == run
+    assert [line["iteration"] for line in run.metrics] == [1, 2, 3, 4]
+    with pytest.raises(s2mia.RunError, match="run.seed"):
+        run.resume(run__seed=9)
+
+
 def test_without_a_folder_the_run_gets_one_of_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run = s2mia.train("cue-2x1", progress=True, **SHORT)

@@ -97,7 +97,7 @@ def test_a_restored_state_continues_with_the_same_bits():
     for action in actions[:10]:
         first.step(action)
     saved = first.save()
-    other.restore(saved)
+    other.restore(bytearray(saved))
     assert other.save() == saved
     for name, row in first.observations().items():
         assert row.tobytes() == other.observations()[name].tobytes()
@@ -119,6 +119,14 @@ def test_a_copy_is_an_environment_of_the_same_arguments_before_its_first_episode
     assert type(other) is type(env)
     other.reset()
     assert np.array_equal(other.state(), first)
+
+
+def test_a_copy_of_an_environment_of_a_task_file_can_be_made_in_another_folder(monkeypatch):
+    monkeypatch.chdir(ROOT / "sim")
+    env = s2mia.parallel_env("assets/hopper.toml", seed=1)
+    kept = pickle.dumps(env)
+    monkeypatch.chdir("/")
+    assert pickle.loads(kept).task == env.task == copy.copy(env).task
 
 
 @pytest.mark.parametrize("separator", [".", "__"])
@@ -262,8 +270,13 @@ def test_a_task_file_is_an_environment():
         (lambda: s2mia.parallel_env("ant-4x2", disturbances="on"), "disturbances is \"on\"; it is training, evaluation or off"),
         (lambda: s2mia.parallel_env("ant-4x2", render_mode="human"), "render_mode is 'human'"),
         (lambda: s2mia.parallel_env("cue-2x1", render_mode="rgb_array"), "cue-2x1 is a game: there is nothing to draw"),
-        (lambda: s2mia.vector_env("ant-4x2", 0), "num_envs = 0 is out of range: 1 to 65536"),
-        (lambda: s2mia.vector_env("ant-4x2", 4, threads=0), "threads = 0 is out of range: 1 to 1024"),
+        (lambda: s2mia.vector_env("ant-4x2", 0), "num_envs is 0; it must be a whole number from 1 to 65536"),
+        (lambda: s2mia.vector_env("ant-4x2", 1.5), "num_envs is 1.5; it must"),
+        (lambda: s2mia.vector_env("ant-4x2", True), "num_envs is True; it must"),
+        (lambda: s2mia.vector_env("ant-4x2", 2**70), "num_envs is 1180591620717411303424; it must"),
+        (lambda: s2mia.vector_env("ant-4x2", 4, threads=0), "threads is 0; it must be a whole number from 1 to 1024"),
+        (lambda: s2mia.vector_env("ant-4x2", 4, threads="2"), "threads is '2'; it must"),
+        (lambda: s2mia.parallel_env(None), "task is None; it is a name or the path of a task file"),
     ],
 )
 def test_environments_that_cannot_be_made_are_refused_in_one_line(make, message):
@@ -286,6 +299,7 @@ def test_environments_that_cannot_be_made_are_refused_in_one_line(make, message)
         (lambda env: env.step([0.0]), "actions is a list; it maps the name of each agent to its action"),
         (lambda env: env.reset(options=[9]), "options is a list; it is a mapping such as {'limit': 200}"),
         (lambda env: env.restore(b"s2st"), "invalid environment state: it has 4 bytes; a state of rapier/ant has "),
+        (lambda env: env.restore("x"), "the state is a str; it is the bytes that save() returns"),
         (lambda env: env.reset(seed=-1), "seed is -1; it must be a whole number from 0 to"),
         (lambda env: env.reset(options={"limit": 0}), "limit is 0; it must be a whole number from 1 to 1000"),
         (lambda env: env.reset(options={"limit": 1.5}), "limit is 1.5; it must"),
