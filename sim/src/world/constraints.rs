@@ -23,6 +23,7 @@ mod problem;
 mod round;
 mod rows;
 mod runge_kutta;
+mod segments;
 
 use rapier3d::dynamics::Multibody;
 use rapier3d::math::Vector;

@@ -9,6 +9,7 @@ use rapier3d::parry::query::{
 use rapier3d::parry::shape::{PackedFeatureId, SupportMap as _};
 
 use super::round::{keep_deepest, sharpen};
+use super::segments::touch_capsules;
 use crate::robot::{Convex, GroundForm};
 
 /// Points of contact that are nearer to each other are one, m.
@@ -35,6 +36,10 @@ pub(super) fn touch(
     // The engine has no contacts for a plane with another plane, which do not meet.
     let _ =
         DefaultQueryDispatcher.contact_manifolds(between, one, other, margin, manifolds, &mut None);
+    if let (Some(first), Some(second)) = (one.as_capsule(), other.as_capsule()) {
+        touch_capsules([first, second], between, margin, manifolds);
+        return;
+    }
     for manifold in manifolds {
         sharpen([one, other], between, margin, manifold);
     }

@@ -3,12 +3,12 @@
 
 use rapier3d::glamx::{DMat2, DVec2};
 use rapier3d::math::{Pose, Vector};
-use rapier3d::parry::query::details::closest_points_segment_segment_with_locations_nD;
 use rapier3d::parry::query::{ContactManifold, TrackedContact};
 use rapier3d::parry::shape::{
     PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Segment, Shape,
 };
 
+use super::segments::nearest;
 use crate::robot::Convex;
 
 /// Tangent of the largest angle between the first guess and the normal.
@@ -146,7 +146,7 @@ impl Pair<'_> {
         let lengths = [edges[0].length(), edges[1].length()];
         // Of a face only some line is known, which does not count.
         let deepest = if lengths[0].min(lengths[1]) > EDGE {
-            crossing(&edges)
+            nearest(&edges[0], &edges[1])[0]
         } else if lengths[0] <= lengths[1] {
             one
         } else {
@@ -173,12 +173,6 @@ impl Pair<'_> {
         let [one, other] = [tilted(right), tilted(up)];
         if one.length() >= other.length() { one } else { other }
     }
-}
-
-/// The point of the first edge that is nearest to the second.
-fn crossing([one, other]: &[Segment; 2]) -> Vector {
-    let ends = ((&one.a, &one.b), (&other.a, &other.b));
-    one.point_at(&closest_points_segment_segment_with_locations_nD(ends.0, ends.1).0)
 }
 
 #[cfg(test)]
