@@ -3,16 +3,16 @@
 //! They have no mass and no pose of their own, so the engine adds exactly nothing to a link's mass properties. Contacts
 //! need the corners of the shape that are farthest in a direction: the support feature.
 
+mod nearest;
+
 use std::sync::Arc;
 
 use rapier3d::math::{Pose, Vector};
 use rapier3d::parry::bounding_volume::{Aabb, BoundingSphere};
-use rapier3d::parry::query::details::local_point_projection_on_support_map;
-use rapier3d::parry::query::gjk::VoronoiSimplex;
-use rapier3d::parry::query::{PointProjection, PointQuery, Ray, RayCast, RayIntersection};
+use rapier3d::parry::query::{Ray, RayCast, RayIntersection};
 use rapier3d::parry::shape::{
-    FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape as RapierShape,
-    ShapeType, SupportMap, TypedShape,
+    PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape as RapierShape, ShapeType,
+    SupportMap, TypedShape,
 };
 use rapier3d::prelude::{MassProperties, SharedShape};
 
@@ -317,49 +317,6 @@ impl RapierShape for Convex {
     }
 }
 
-/// Whether a point is inside a cylinder, and the nearest point of its surface.
-fn on_cylinder([half, radius]: [f32; 2], point: Vector) -> (bool, Vector) {
-    let aside = (point.x * point.x + point.y * point.y).sqrt();
-    let [x, y] = if aside > 0.0 { [point.x / aside, point.y / aside] } else { [1.0, 0.0] };
-    let at = |aside: f32, z: f32| Vector::new(x * aside, y * aside, z);
-    let is_inside = aside < radius && point.z.abs() < half;
-    if !is_inside {
-        return (false, at(aside.min(radius), point.z.clamp(-half, half)));
-    }
-    let is_nearer_end = half - point.z.abs() < radius - aside;
-    (true, if is_nearer_end { at(aside, half.copysign(point.z)) } else { at(radius, point.z) })
-}
-
-/// Bisections that find the nearest point of an ellipsoid in double precision.
-const BISECTIONS: usize = 60;
-
-/// Whether a point is inside an ellipsoid, and the nearest point of its surface: `x = a^2 p / (a^2 + t)` along each axis, with
-/// the `t` at which it is on the surface.
-fn on_ellipsoid(half: [f32; 3], point: [f32; 3]) -> (bool, Vector) {
-    let squares = half.map(|a| f64::from(a) * f64::from(a));
-    let p = point.map(f64::from);
-    let place = |t: f64| -> [f64; 3] {
-        // At the centre, both are 0.
-        let part = |axis: usize| squares[axis] * p[axis] / (squares[axis] + t);
-        std::array::from_fn(|axis| if p[axis] == 0.0 { 0.0 } else { part(axis) })
-    };
-    let level = |x: [f64; 3]| (0..3).map(|axis| x[axis] * x[axis] / squares[axis]).sum::<f64>();
-    let least = squares.iter().copied().fold(f64::INFINITY, f64::min);
-    let reach = (0..3).map(|axis| squares[axis] * p[axis] * p[axis]).sum::<f64>().sqrt();
-    let (mut low, mut high) = (-least, reach - least);
-    for _ in 0..BISECTIONS {
-        let middle = 0.5 * (low + high);
-        if level(place(middle)) > 1.0 { low = middle } else { high = middle }
-    }
-    let mut nearest = place(high);
-    // From the plane across the shortest axis, the nearest point may be on either side of it.
-    let missing = 1.0 - level(nearest);
-    if let Some(axis) = (0..3).find(|axis| squares[*axis] == least).filter(|_| missing > 1e-9) {
-        nearest[axis] = (nearest[axis] * nearest[axis] + missing * least).sqrt().copysign(p[axis]);
-    }
-    (level(p) < 1.0, Vector::from_array(nearest.map(|x| x as f32)))
-}
-
 /// Queries are answered for the bounding box. The simulator makes none.
 impl RayCast for Convex {
     fn cast_local_ray_and_get_normal(
@@ -369,26 +326,5 @@ impl RayCast for Convex {
         solid: bool,
     ) -> Option<RayIntersection> {
         self.bounds.cast_local_ray_and_get_normal(ray, longest, solid)
-    }
-}
-
-impl PointQuery for Convex {
-    fn project_local_point(&self, point: Vector, solid: bool) -> PointProjection {
-        let inside = self.pose.inverse_transform_point(point);
-        let nearest = match &self.form {
-            Form::Cylinder(sizes) => Some(on_cylinder(*sizes, inside)),
-            Form::Ellipsoid(half) => Some(on_ellipsoid(half.to_array(), inside.to_array())),
-            Form::Box(_) | Form::Hull(..) | Form::Prism(_) => None,
-        };
-        if let Some((is_inside, nearest)) = nearest {
-            let nearest = if is_inside && solid { point } else { self.pose * nearest };
-            return PointProjection::new(is_inside, nearest);
-        }
-        let mut simplex = VoronoiSimplex::new();
-        local_point_projection_on_support_map(self, &mut simplex, point, solid)
-    }
-
-    fn project_local_point_and_get_feature(&self, point: Vector) -> (PointProjection, FeatureId) {
-        (self.project_local_point(point, false), FeatureId::Unknown)
     }
 }
