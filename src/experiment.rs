@@ -10,7 +10,7 @@ pub(crate) mod run_state;
 pub(crate) mod scheduler;
 pub(crate) mod submit;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -35,7 +35,9 @@ const FEWEST: u64 = 3;
 pub(crate) struct PlannedRun {
     /// Position in the plan, from 0.
     pub(crate) index: usize,
-    /// Task.
+    /// Task as the file spells it: its name, or the path of its file.
+    pub(crate) asked: String,
+    /// Name of the task.
     pub(crate) task: String,
     /// Name of the variant.
     pub(crate) variant: String,
@@ -79,7 +81,26 @@ pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
             }
         }
     }
+    demand_own_folders(file, &runs)?;
     Ok(runs)
+}
+
+/// Refuses two runs with one folder: tasks of different spelling, or a task and a variant together, can have the same names.
+fn demand_own_folders(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), Usage> {
+    let mut known = BTreeMap::new();
+    for run in runs {
+        if let Some(first) = known.insert(&run.folder, run) {
+            let shown = |run: &PlannedRun| format!("task \"{}\" with {}", run.asked, run.variant);
+            return Err(Usage::new(format!(
+                "{}: {} and {} would share the folder {}; leave one out, or rename a robot, partition or variant",
+                file.path.display(),
+                shown(first),
+                shown(run),
+                run.name(),
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// A line for each variant with too few evaluations for a curve.
@@ -205,10 +226,10 @@ fn planned(
         let why = format!("{place}: {EVERY_STEPS} must be above 0: evaluations are compared");
         return Err(Usage::new(why).into());
     }
-    let task = config.resolved.text("task").to_owned();
+    let (asked, task) = (task.to_owned(), config.resolved.text("task").to_owned());
     let folder = file.folder.join(format!("{task}-{}-seed{seed}", variant.name));
     let variant = variant.name.clone();
-    Ok(PlannedRun { index: 0, task, variant, seed, folder, settings, config })
+    Ok(PlannedRun { index: 0, asked, task, variant, seed, folder, settings, config })
 }
 
 fn resolved(settings: &[String], place: &str) -> anyhow::Result<RunConfig> {
@@ -291,6 +312,19 @@ mod tests {
             assert!(message.starts_with(&format!("a.toml, {words}")), "{message}");
             assert!(error.is::<ConfigError>() || error.is::<Usage>(), "{message}");
         }
+    }
+
+    #[test]
+    fn a_task_that_is_spelled_in_two_ways_is_refused_because_its_runs_would_share_a_folder() {
+        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+        let file = ExperimentFile { path: "a.toml".into(), ..file };
+        let mut runs = plan(&file).unwrap();
+        runs[0].asked = "a/hopper.toml".to_owned();
+        runs.push(PlannedRun { asked: "./a/hopper.toml".to_owned(), ..runs[0].clone() });
+        let line = demand_own_folders(&file, &runs).unwrap_err().to_string();
+        let words = "a.toml: task \"a/hopper.toml\" with happo and task \"./a/hopper.toml\" with happo would share the folder \
+                     halfcheetah-2x3-happo-seed0; leave one out, or rename a robot, partition or variant";
+        assert_eq!(line, words);
     }
 
     fn planned_with(line: &str) -> Vec<PlannedRun> {

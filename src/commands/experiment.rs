@@ -158,6 +158,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
         demand_any(&file, &runs, &record)?;
         return tell(&file, &runs);
     }
+    record.demand_new(&file.record, &selected)?;
     run_state::make_folder(&file, &runs, others(arguments))?;
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
@@ -186,7 +187,7 @@ fn submit(
     match engine {
         Engine::K8s => {
             let (image, queue) = cluster.k8s()?;
-            output::line(submit::k8s_manifest(file, &jobs, image, queue)?.trim_end());
+            output::line(submit::k8s_manifest((file, runs), &jobs, image, queue)?.trim_end());
         }
         Engine::Slurm if cluster.dry_run => {
             output::line(submit::slurm_script(file, &jobs, cluster.slurm()?)?.trim_end());
@@ -194,6 +195,7 @@ fn submit(
         Engine::Slurm => {
             let script = submit::slurm_script(file, &jobs, cluster.slurm()?)?;
             submit::demand_sbatch()?;
+            Record::read(&file.record)?.demand_new(&file.record, runs)?;
             run_state::make_folder(file, runs, others(arguments))?;
             let path = file.folder.join(submit::SLURM_SCRIPT_NAME);
             target::file(&path, script.as_bytes())?;

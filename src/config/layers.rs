@@ -22,7 +22,7 @@ const ALIKE_PREFIX: &str = "S2MIA_";
 const COMMAND_LINE: &str = "command line";
 
 /// How an environment variable is called in messages.
-const VARIABLE: &str = "environment variable";
+pub(crate) const VARIABLE: &str = "environment variable";
 
 /// Whether a setting of this origin was written for this command, and not in a file.
 pub(crate) fn is_of_this_command(origin: &str) -> bool {

@@ -2,10 +2,9 @@
 //! model names, become settings, so that they take part in the hash of the settings and travel with the run.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
+use learner::store::plain_file;
 use proto::name;
 use sim::TaskDefinition;
 use toml::Value;
@@ -136,14 +135,15 @@ impl OwnTask {
 
 fn text(path: &Path) -> Result<String, ConfigError> {
     let place = path.display().to_string();
-    let bytes = content(path, FILE_BYTES).map_err(|error| refused(&place, error))?;
-    String::from_utf8(bytes).map_err(|_| refused(&place, "it is not UTF-8 text"))
+    plain_file::named_text(path, FILE_BYTES).map_err(|error| refused(&place, error))
 }
 
 /// Text of the model `document` in `folder`, with all files that it needs.
 fn one_document(folder: &Path, document: &str) -> Result<String, String> {
     let read = |path: &str| {
-        let bytes = inside(folder, path).and_then(|file| content(&file, MODEL_FILE_BYTES));
+        let bytes = inside(folder, path).and_then(|file| {
+            plain_file::named(&file, MODEL_FILE_BYTES).map_err(|error| error.to_string())
+        });
         bytes.map_err(|error| format!("{path}: {error}"))
     };
     let text = sim::one_document(document, read).map_err(|error| error.to_string())?;
@@ -165,21 +165,6 @@ fn inside(folder: &Path, path: &str) -> Result<PathBuf, String> {
         return Err("it is a link that leaves the task file's folder; copy the file".to_owned());
     }
     Ok(file)
-}
-
-/// Content of a regular file of at most `limit` bytes.
-fn content(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
-    // Opening a pipe would wait for its other end.
-    if !fs::metadata(path).map_err(|error| error.to_string())?.is_file() {
-        return Err("it is not a regular file".to_owned());
-    }
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(|error| error.to_string())?;
-    file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
-    if bytes.len() as u64 > limit {
-        return Err(format!("it has more than {limit} bytes"));
-    }
-    Ok(bytes)
 }
 
 fn refused(place: &str, error: impl std::fmt::Display) -> ConfigError {

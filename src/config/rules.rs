@@ -162,6 +162,9 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let window = policy.backpropagation_steps;
     multiple(SLOT, environments.steps, WINDOW, window)?;
     multiple(MESSAGE, environments.message_steps, WINDOW, window)?;
+    let hold = policy.noise_hold.unwrap_or(1) as usize;
+    let range = format!("at most environments.steps = {}", environments.steps);
+    within("policy.noise_hold", hold, ..=environments.steps, &range)?;
     let is_hasac = training.update.rule == marl::config::Rule::Hasac;
     if let Some(replay) = training.replay() {
         let (key, batch) = if is_hasac {
@@ -258,6 +261,10 @@ mod tests {
             (
                 &["algorithm=maddpg", "maddpg.replay=9"][..],
                 "command line: maddpg.replay = 9 is out of range: at least environments.count = 10, one step of each",
+            ),
+            (
+                &["policy.noise=shared", "policy.noise_hold=201"],
+                "command line: policy.noise_hold = 201 is out of range: at most environments.steps = 50",
             ),
             (
                 &["algorithm=hasac", "hasac.replay=9"],

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use learner::store::plain_file;
 use serde::Deserialize;
 use toml::{Table, Value};
 
@@ -25,7 +26,7 @@ const DECIDED: [&str; 8] = [
 ];
 
 /// An experiment file larger than this is a mistake.
-const LIMIT_BYTES: usize = 1 << 20;
+pub(super) const LIMIT_BYTES: u64 = 1 << 20;
 
 /// The folder of the program's own experiments, in the folder to which their paths are relative.
 const SHIPPED: &str = "configs/experiments";
@@ -98,10 +99,8 @@ impl ExperimentFile {
     /// Reads and checks the file.
     pub(crate) fn read(path: &Path) -> Result<Self, Usage> {
         let refused = |detail: String| Usage::new(format!("{}: {detail}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
-        if text.len() > LIMIT_BYTES {
-            return Err(refused(format!("{} bytes, the limit is {LIMIT_BYTES}", text.len())));
-        }
+        let text = plain_file::named_text(path, LIMIT_BYTES);
+        let text = text.map_err(|error| refused(error.to_string()))?;
         Self::parse(path, &text).map_err(refused)
     }
 

@@ -7,18 +7,26 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
+use learner::store::plain_file;
 use learner::store::run_folder::{PROVENANCE, RunFolder};
 use policy::arrays::hex;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-use super::run_state::last_lines;
-use super::{EVERY_STEPS, PlannedRun};
+use super::run_state::{last_lines, mismatch};
+use super::{EVALUATIONS, EVERY_STEPS, PlannedRun};
 use crate::config::keys::{EVALUATED, SAMPLED};
+use crate::config::run_config::RunConfig;
+use crate::errors::Usage;
+use crate::figures::chart::thousands;
 use crate::figures::learning_curve::{Curve, Quantity};
+use crate::run::stored::config_of_run;
 
 const HEADER: &str =
     "task,variant,seed,env_steps,return,surprise,information,settings_sha256,weights_sha256,commit";
+
+/// A record larger than this is a mistake.
+const LIMIT_BYTES: u64 = 256 << 20;
 
 /// Task, name of the variant and seed.
 type RunName = (String, String, u64);
@@ -62,7 +70,7 @@ impl Record {
     /// # Errors
     /// Names the file and the invalid line.
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = match std::fs::read_to_string(path) {
+        let text = match plain_file::named_text(path, LIMIT_BYTES) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Self::default()),
             text => text.with_context(|| format!("cannot read {}", path.display()))?,
         };
@@ -120,8 +128,34 @@ impl Record {
         self.0.get(&name(run)).is_some_and(|known| {
             let last = known.evaluations.last().map(|last| last.env_steps);
             last == Some(run.config.env_steps())
-                && settings_sha256(run) == known.origin.settings_sha256
+                && settings_sha256(&run.config) == known.origin.settings_sha256
         })
+    }
+
+    /// Why the planned run must not replace the recorded one of the same name; `None` if there is none, or a shorter one with the
+    /// same settings.
+    pub(crate) fn conflict(&self, run: &PlannedRun) -> Option<String> {
+        let known = self.0.get(&name(run)).filter(|_| !self.holds(run))?;
+        let recorded = known.evaluations.last().map_or(0, |last| last.env_steps);
+        let has = if !is_continued(known, run, recorded) {
+            "with other settings".to_owned()
+        } else if recorded > run.config.env_steps() {
+            format!("with {} steps, more than are planned", thousands(recorded))
+        } else {
+            return None;
+        };
+        Some(format!("the record has {} {has}; set another `record` and `folder`", run.name()))
+    }
+
+    /// Refuses runs that must not replace recorded ones, before they are computed.
+    pub(crate) fn demand_new(&self, path: &Path, runs: &[PlannedRun]) -> Result<(), Usage> {
+        let mut conflicts = runs.iter().filter_map(|run| self.conflict(run));
+        let Some(first) = conflicts.next() else { return Ok(()) };
+        let others = match conflicts.count() {
+            0 => String::new(),
+            others => format!(" ({others} other runs, too)"),
+        };
+        Err(Usage::new(format!("{}: {first}{others}", path.display())))
     }
 
     /// The curve of the planned run, if the record contains it.
@@ -145,7 +179,7 @@ impl Record {
         let last = last_lines(&run.folder.join(PROVENANCE)).pop().unwrap_or_default();
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let origin = Origin {
-            settings_sha256: settings_sha256(run),
+            settings_sha256: settings_sha256(&run.config),
             weights_sha256: text(&last["weights_sha256"]),
             commit: text(&manifest["git_commit"]),
         };
@@ -224,13 +258,32 @@ fn name(run: &PlannedRun) -> RunName {
     (run.task.clone(), run.variant.clone(), run.seed)
 }
 
-/// SHA-256 of the settings that decide what the run computes and how it is evaluated. Only an evaluation that samples actions adds
-/// that setting.
-fn settings_sha256(run: &PlannedRun) -> String {
-    let settings = &run.config.resolved;
+/// Whether the planned run has the settings of the recorded one of `env_steps` steps. The default interval between evaluations
+/// depends on the length; a longer run in the same folder may also have another interval.
+fn is_continued(recorded: &RecordedRun, run: &PlannedRun, env_steps: u64) -> bool {
+    let recorded = &recorded.origin.settings_sha256;
+    let every = run.config.learner.evaluation.every_steps;
+    let intervals = [every, (env_steps / EVALUATIONS).max(1)];
+    let own = intervals.map(|every| sha256_with(&run.config, &every.to_string()));
+    let in_folder = || {
+        let known = RunFolder::holds_run(&run.folder) && mismatch(run).is_none();
+        known.then(|| config_of_run(&run.folder).ok()).flatten()
+    };
+    own.contains(recorded) || in_folder().is_some_and(|old| settings_sha256(&old) == *recorded)
+}
+
+/// SHA-256 of the settings that decide what the run computes and how it is evaluated.
+fn settings_sha256(config: &RunConfig) -> String {
+    sha256_with(config, &config.resolved.shown(EVERY_STEPS))
+}
+
+/// As [`settings_sha256`], with this interval between evaluations. Only an evaluation that samples actions adds that setting.
+fn sha256_with(config: &RunConfig, every_steps: &str) -> String {
+    let settings = &config.resolved;
     let mut hasher = Sha256::new_with_prefix(settings.sha256());
-    for key in [EVERY_STEPS].into_iter().chain(EVALUATED) {
-        if key != SAMPLED || run.config.learner.evaluation.sampled {
+    hasher.update(format!("{EVERY_STEPS} = {every_steps}\n"));
+    for key in EVALUATED {
+        if key != SAMPLED || config.learner.evaluation.sampled {
             hasher.update(format!("{key} = {}\n", settings.shown(key)));
         }
     }
@@ -255,92 +308,4 @@ fn mean_within(points: &[(f64, f64)], (after, up_to): (f64, f64)) -> Option<f64>
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::experiment::file::ExperimentFile;
-    use crate::experiment::file::tests::SAMPLE;
-    use crate::experiment::plan;
-
-    fn planned() -> Vec<PlannedRun> {
-        plan(&toml::from_str::<ExperimentFile>(SAMPLE).unwrap()).unwrap()
-    }
-
-    /// The curve and the folder of a finished run.
-    fn finish(run: &mut PlannedRun, folder: &Path) -> Curve {
-        run.folder = folder.to_path_buf();
-        let run_folder = RunFolder::claim_new(folder).unwrap();
-        run_folder.begin("", &serde_json::json!({"git_commit": "abc"})).unwrap();
-        let lines = "{\"weights_sha256\": \"12\"}\n{\"weights_sha256\": \"34\"}\n";
-        std::fs::write(folder.join(PROVENANCE), lines).unwrap();
-        let returns = vec![(0.0, -1.5), (4000.0, 2.0), (8000.0, 3.25)];
-        let surprise = vec![(1000.0, 4.0), (3000.0, 6.0), (7000.0, 8.0)];
-        let points = [(Quantity::Return, returns), (Quantity::Surprise, surprise)];
-        let (task, algorithm) = (run.task.clone(), run.variant.clone());
-        let (seed, settings) = (run.seed.to_string(), BTreeMap::new());
-        Curve { task, algorithm, seed, settings, points: points.into() }
-    }
-
-    #[test]
-    fn a_finished_run_stands_in_the_record_with_its_hash_and_comes_back_as_a_curve() {
-        let folder = tempfile::tempdir().unwrap();
-        let (path, mut runs) = (folder.path().join("record.csv"), planned());
-        let curve = finish(&mut runs[0], folder.path());
-        let mut record = Record::read(&path).unwrap();
-        assert!(!record.holds(&runs[0]));
-        record.add(&runs[0], &curve).unwrap();
-        record.write(&path).unwrap();
-        let text = std::fs::read_to_string(&path).unwrap();
-        let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines[2], "halfcheetah-2x3,happo,0,4000,2,5,,,,");
-        let config = settings_sha256(&runs[0]);
-        assert_eq!(lines[3], format!("halfcheetah-2x3,happo,0,8000,3.25,8,,{config},34,abc"));
-        let again = Record::read(&path).unwrap();
-        assert_eq!(again, record);
-        assert!(again.holds(&runs[0]) && !again.holds(&runs[1]));
-        let found = again.curve(&runs[0]).unwrap();
-        assert_eq!(found.of(Quantity::Return), curve.of(Quantity::Return));
-        assert_eq!(found.of(Quantity::Surprise), [(4000.0, 5.0), (8000.0, 8.0)]);
-    }
-
-    #[test]
-    fn a_run_with_another_length_settings_or_evaluations_is_not_the_recorded_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut runs = planned();
-        let mut curve = finish(&mut runs[0], folder.path());
-        let mut record = Record::default();
-        record.add(&runs[0], &curve).unwrap();
-        assert!(record.holds(&runs[0]));
-        for other in [
-            "settings.update.clip = 0.3",
-            "settings.evaluation.episodes = 3",
-            "settings.evaluation.sampled = true",
-        ] {
-            let text =
-                SAMPLE.replace("settings.evaluation", &format!("{other}\nsettings.evaluation"));
-            let file: ExperimentFile = toml::from_str(&text).unwrap();
-            assert!(!record.holds(&plan(&file).unwrap()[0]), "{other}");
-        }
-        curve.points.get_mut(&Quantity::Return).unwrap().pop();
-        let mut record = Record::default();
-        record.add(&runs[0], &curve).unwrap();
-        assert!(!record.holds(&runs[0]) && record.curve(&runs[0]).is_none(), "a shorter one");
-    }
-
-    #[test]
-    fn a_line_that_is_no_evaluation_is_refused_with_its_number() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("record.csv");
-        let good = "ant-4x2,happo,0,4000,2,5,,,,";
-        for (text, words) in [
-            ("x\n".to_owned(), "must begin with the line task,variant"),
-            (format!("{HEADER}\n{good}\nant-4x2,happo\n"), "line 3"),
-            (format!("{HEADER}\n{good}\n{good}\n"), "env_steps must grow"),
-            (format!("{HEADER}\nant-4x2,happo,0,4000,NaN,5,,,,\n"), "`NaN` is not finite"),
-            (format!("{HEADER}\nant-4x2,happo,x,4000,2,5,,,,\n"), "`x` is no number"),
-        ] {
-            std::fs::write(&path, text).unwrap();
-            let error = format!("{:#}", Record::read(&path).unwrap_err());
-            assert!(error.contains(words) && error.contains("record.csv"), "{error}");
-        }
-    }
-}
+mod tests;

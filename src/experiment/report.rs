@@ -68,7 +68,10 @@ fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Cur
                 let curve = of_folder(run)?;
                 let done = run_state(run) == RunFolderState::Finished;
                 if kept && done {
-                    record.add(run, &curve)?;
+                    match recorded.conflict(run) {
+                        None => record.add(run, &curve)?,
+                        Some(why) => tracing::warn!("{}: {why}", file.record.display()),
+                    }
                 }
                 (if kept { at_evaluations(curve) } else { curve }, done)
             }

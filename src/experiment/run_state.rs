@@ -166,7 +166,7 @@ fn shown(run: &PlannedRun, record: &Record) -> String {
     if record.holds(run) {
         return "recorded".to_owned();
     }
-    match (mismatch(run), run_state(run)) {
+    match (mismatch(run).or_else(|| record.conflict(run)), run_state(run)) {
         (Some(why), _) => why,
         (None, RunFolderState::New) => "new".to_owned(),
         (None, RunFolderState::Begun { env_steps }) => {

@@ -2,13 +2,19 @@
 //! with its volume and the experiment's file.
 
 use std::io::ErrorKind;
+use std::net::IpAddr;
 use std::path::{Component, Path};
 use std::process::Command;
 
 use anyhow::Context as _;
+use learner::store::plain_file;
 
-use super::file::ExperimentFile;
+use super::PlannedRun;
+use super::file::{ExperimentFile, LIMIT_BYTES};
+use crate::config::keys::START;
+use crate::config::layers::VARIABLE;
 use crate::errors::Usage;
+use crate::run::pretrained::team_record;
 
 /// Memory limit of a job. A run with one actor takes less than half of a GiB.
 const MEMORY_GIB: usize = 4;
@@ -117,9 +123,9 @@ pub(crate) fn submit_to_slurm(script: &Path) -> anyhow::Result<String> {
 /// The manifest for `kubectl apply`.
 ///
 /// # Errors
-/// Names an option, a folder or a task that does not exist in a pod, or the file if it cannot be read.
+/// Names an option, a folder, a task or a setting that does not exist in a pod, or the file if it cannot be read.
 pub(crate) fn k8s_manifest(
-    file: &ExperimentFile,
+    (file, runs): (&ExperimentFile, &[PlannedRun]),
     jobs: &Jobs,
     image: &str,
     queue: Option<&str>,
@@ -135,7 +141,8 @@ pub(crate) fn k8s_manifest(
         );
         return Err(Usage::new(why).into());
     }
-    let text = std::fs::read_to_string(&file.path);
+    runs.iter().try_for_each(|run| demand_known_in_pod(file, run))?;
+    let text = plain_file::named_text(&file.path, LIMIT_BYTES);
     let text = text.with_context(|| format!("cannot read {}", file.path.display()))?;
     let text: Vec<String> = text.lines().map(|line| format!("    {line}")).collect();
     let queue = queue.map(|queue| word("--queue", queue)).transpose()?;
@@ -208,6 +215,48 @@ fn key_of_a_map(name: &str) -> Result<&str, Usage> {
     Ok(name)
 }
 
+/// Refuses a run with settings that only this host knows: of its environment variables, its files or its loopback address.
+fn demand_known_in_pod(file: &ExperimentFile, run: &PlannedRun) -> Result<(), Usage> {
+    let place = format!("{}, variant {} on {}", file.path.display(), run.variant, run.task);
+    let refused = |why: String| Err(Usage::new(format!("{place}: {why}")));
+    let resolved = &run.config.resolved;
+    let of_process = |key: &&String| resolved.origin(key).starts_with(VARIABLE);
+    if let Some(key) = resolved.entries.keys().find(of_process) {
+        let origin = resolved.origin(key);
+        return refused(format!(
+            "{origin} does not exist in a pod; unset it, or write settings.{key} = {} into the file",
+            resolved.shown(key)
+        ));
+    }
+    let start = resolved.text(START);
+    if !start.is_empty() && team_record(start).is_none() {
+        return refused(format!(
+            "{START} = {start} is a place of this host; --submit k8s needs the name of a team that comes with the program"
+        ));
+    }
+    let url = &run.config.environment.url;
+    if is_of_this_host(url) {
+        return refused(format!(
+            "{url} is the loopback address, which differs in a pod; set environments.{} to a host that pods reach",
+            run.task
+        ));
+    }
+    Ok(())
+}
+
+/// Whether only processes of this host reach the URL.
+fn is_of_this_host(url: &str) -> bool {
+    let Some((_, rest)) = url.split_once("://") else { return false };
+    let authority = rest.split(['/', '?', '#']).next().unwrap_or(rest);
+    let host = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
+    let host = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or(rest),
+        None => host.split(':').next().unwrap_or(host),
+    };
+    host.eq_ignore_ascii_case("localhost")
+        || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
 /// The volume holds the paths that start in the working folder.
 fn demand_relative(key: &str, path: &Path) -> Result<(), Usage> {
     let is_inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
@@ -224,6 +273,7 @@ fn demand_relative(key: &str, path: &Path) -> Result<(), Usage> {
 mod tests {
     use super::*;
     use crate::experiment::file::tests::SAMPLE;
+    use crate::experiment::plan;
 
     #[test]
     fn the_jobs_of_an_experiment_contain_all_its_runs() {
@@ -268,5 +318,46 @@ mod tests {
         let text = slurm_script(&sample("a.toml"), &jobs, SlurmOptions::default()).unwrap();
         assert!(text.contains("#SBATCH --array=0-4\n"), "{text}");
         assert!(!text.contains("--time") && !text.contains("--partition"), "{text}");
+    }
+
+    #[test]
+    fn a_pod_gets_no_setting_that_only_this_host_knows() {
+        let refused = |line: &str| {
+            let text = SAMPLE.replacen("threads", &format!("{line}\nthreads"), 1);
+            let file: ExperimentFile = toml::from_str(&text).unwrap();
+            let runs = plan(&ExperimentFile { path: "a.toml".into(), ..file.clone() }).unwrap();
+            let place = ExperimentFile { path: "a.toml".into(), ..file };
+            let refused = runs.iter().try_for_each(|run| demand_known_in_pod(&place, run));
+            refused.err().map(|error| error.to_string())
+        };
+        assert_eq!(refused("environments.ant-4x2 = \"http://environments:7\""), None);
+        let line = refused("environments.ant-4x2 = \"http://localhost:7\"").unwrap();
+        let words = "a.toml, variant happo on ant-4x2: http://localhost:7 is the loopback address";
+        assert!(line.starts_with(words), "{line}");
+        for (url, own) in [
+            ("http://127.0.0.3:7", true),
+            ("https://[::1]:7/", true),
+            ("http://LOCALHOST", true),
+            ("http://10.0.0.1:7", false),
+            ("http://localhost.example:7", false),
+        ] {
+            assert_eq!(is_of_this_host(url), own, "{url}");
+        }
+    }
+
+    #[test]
+    fn policies_in_a_file_and_an_environment_variable_of_this_host_are_refused_for_a_pod() {
+        let file = ExperimentFile { path: "a.toml".into(), ..toml::from_str(SAMPLE).unwrap() };
+        let mut run = plan(&file).unwrap().remove(0);
+        run.config.resolved.set(START, "halfcheetah-2x3".to_owned(), "a.toml");
+        demand_known_in_pod(&file, &run).unwrap();
+        run.config.resolved.set(START, "runs/one".to_owned(), "a.toml");
+        let line = demand_known_in_pod(&file, &run).unwrap_err().to_string();
+        assert!(line.contains("policy.start = runs/one is a place of this host"), "{line}");
+        let variable = format!("{VARIABLE} S2MIA__POLICY__START");
+        run.config.resolved.set(START, "halfcheetah-2x3".to_owned(), &variable);
+        let line = demand_known_in_pod(&file, &run).unwrap_err().to_string();
+        let words = "environment variable S2MIA__POLICY__START does not exist in a pod; unset it, or write settings.policy.start = ";
+        assert!(line.contains(words), "{line}");
     }
 }

@@ -23,7 +23,7 @@ const NORM: &str = "observation.norm";
 struct Found {
     /// The encoded policies.
     bytes: Vec<u8>,
-    /// The configuration of their run; `None` for a file, which does not say it.
+    /// The configuration of their run; `None` for a file outside a run, which does not say it.
     config: Option<RunConfig>,
 }
 
@@ -143,7 +143,7 @@ fn named_policies(resolved: &Resolved) -> Result<Found, ConfigError> {
 fn found(named: &str) -> anyhow::Result<Found> {
     let mut path = shell::expanded(Path::new(named))?;
     if path.is_file() || path.ends_with(START_POLICIES) {
-        return Ok(Found { bytes: of_file(&path)?, config: None });
+        return Ok(Found { bytes: of_file(&path)?, config: config_beside(&path) });
     }
     let mut checkpoint = None;
     if let Some((run, which)) = named.rsplit_once(':').filter(|_| !path.exists()) {
@@ -152,6 +152,18 @@ fn found(named: &str) -> anyhow::Result<Found> {
     }
     let trained = stored::trained(&ChosenArguments { run: Some(path), checkpoint }.path()?)?;
     Ok(Found { bytes: trained.policy.to_bytes()?, config: Some(trained.config) })
+}
+
+/// The settings of the run that keeps these policies as those from which it started, or in a checkpoint; `None` for another file.
+fn config_beside(file: &Path) -> Option<RunConfig> {
+    let folder = file.parent()?;
+    let run = match file.ends_with(START_POLICIES) {
+        true => folder,
+        false => folder.parent()?.parent()?,
+    };
+    let is_kept =
+        file.ends_with(START_POLICIES) || folder.parent() == Some(&*checkpoint::folder(run));
+    is_kept.then(|| stored::config_of_run(run).ok()).flatten()
 }
 
 /// The encoded policies in a file.
@@ -260,6 +272,23 @@ mod tests {
             [("halfcheetah-pushed-2x3", "halfcheetah-2x3"), ("carry-heavy-2x2", "carry-light-2x2")]
         {
             RunConfig::with(&[task, &format!("policy.start={same}")]).unwrap();
+        }
+    }
+
+    #[test]
+    fn the_copy_of_policies_that_a_run_keeps_has_the_names_of_that_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let team = pretrained::of_task(TASK).unwrap().unwrap().trained().unwrap();
+        let settings = config(&["policy.start=halfcheetah-2x3"]).unwrap().resolved.to_toml();
+        std::fs::write(folder.path().join("config.toml"), settings).unwrap();
+        let checkpoint = folder.path().join("checkpoints/iter_00000001");
+        std::fs::create_dir_all(&checkpoint).unwrap();
+        for file in [folder.path().join(START_POLICIES), checkpoint.join("policy.safetensors")] {
+            std::fs::write(&file, team.policy.to_bytes().unwrap()).unwrap();
+            let named = format!("policy.start={}", file.display());
+            let line = RunConfig::with(&["walker2d-2x3", &named]).unwrap_err().to_string();
+            assert!(line.contains("are for halfcheetah-2x3, whose agent_0 has"), "{line}");
+            config(&[&named]).unwrap();
         }
     }
 

@@ -321,7 +321,7 @@ fn a_model_is_read_from_regular_files_inside_its_folder() {
     std::fs::remove_file(&mesh).unwrap();
     let pipe = std::process::Command::new("mkfifo").arg(&mesh).status();
     assert!(pipe.unwrap().success());
-    assert!(refused(&["task", "check", text(&task)]).contains("it is not a regular file"));
+    assert!(refused(&["task", "check", text(&task)]).contains("not a plain file"));
 
     std::fs::remove_file(&mesh).unwrap();
     std::fs::rename(&outside, parts.join("b.stl")).unwrap();

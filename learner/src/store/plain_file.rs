@@ -1,4 +1,4 @@
-//! Opens files of a run folder only if they are plain files: a link could lead out of the folder, and a pipe would block.
+//! Opens files only if they are plain files: a pipe would block, and in a run folder a link could lead out of it.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read as _};
@@ -54,6 +54,30 @@ pub fn read_to_string(path: &Path) -> io::Result<String> {
     Ok(text)
 }
 
+/// Content of a plain file that the user names, of at most `limit` bytes. A link to such a file is followed.
+///
+/// # Errors
+/// If it cannot be read, is larger, or is a pipe or anything else that is not a plain file.
+pub fn named(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    let whole = path.canonicalize()?;
+    let mut bytes = Vec::new();
+    reader(&whole)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit {
+        let why = format!("it has more than {limit} bytes");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+    }
+    Ok(bytes)
+}
+
+/// Text of a plain file that the user names, of at most `limit` bytes.
+///
+/// # Errors
+/// As [`named`], or if it is not UTF-8.
+pub fn named_text(path: &Path, limit: u64) -> io::Result<String> {
+    let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8 text");
+    String::from_utf8(named(path, limit)?).map_err(not_text)
+}
+
 /// The reason if something other than a plain file is at `path`.
 #[must_use]
 pub fn refusal(path: &Path) -> Option<io::Error> {
@@ -76,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn links_and_pipes_are_neither_followed_nor_waited_for() {
+    fn pipes_are_not_waited_for_and_links_are_followed_only_where_the_user_names_them() {
         let folder = tempfile::tempdir().unwrap();
         let [file, link, pipe] = ["file", "link", "pipe"].map(|name| folder.path().join(name));
         std::fs::write(&file, "a").unwrap();
@@ -88,6 +112,11 @@ mod tests {
                 assert_eq!(error.to_string(), format!("it is {kind}, not a plain file"));
             }
         }
+        assert_eq!(named_text(&link, 1).unwrap(), "a");
+        assert_eq!(named(&link, 0).unwrap_err().to_string(), "it has more than 0 bytes");
+        assert_eq!(named(&pipe, 1).unwrap_err().to_string(), "it is a pipe, not a plain file");
+        let none = named(&folder.path().join("none"), 1).unwrap_err();
+        assert_eq!(none.kind(), io::ErrorKind::NotFound);
         assert_eq!(read(&folder.path().join("none")).unwrap_err().kind(), io::ErrorKind::NotFound);
     }
 }
