@@ -19,6 +19,7 @@ use crate::config::Request;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
+use crate::run::warm_up;
 use file::{ExperimentFile, Variant, assignments};
 
 /// The setting of the interval between evaluations.
@@ -103,7 +104,7 @@ fn demand_own_folders(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), 
     Ok(())
 }
 
-/// A line for each variant with too few evaluations for a curve.
+/// A line for each variant with too few evaluations for a curve, and for runs that end before they learn.
 pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
     let few = |run: &PlannedRun| {
         let steps = run.config.env_steps();
@@ -120,7 +121,9 @@ pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
             )
         })
     };
-    runs.iter().filter_map(few).collect::<BTreeSet<_>>().into_iter().collect()
+    let idle = |run: &PlannedRun| warm_up::remark(&run.config);
+    let lines = runs.iter().filter_map(few).chain(runs.iter().filter_map(idle));
+    lines.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 /// The runs whose index modulo `count` is `index`.

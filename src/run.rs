@@ -12,6 +12,7 @@ pub(crate) mod start;
 pub(crate) mod stored;
 pub(crate) mod supervisor;
 pub(crate) mod verification;
+pub(crate) mod warm_up;
 
 use std::path::{Path, PathBuf};
 

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use crate::endpoints::{self, Listening, PageArguments, ServerTlsArguments};
 use crate::process::{self, output, runtime};
 use crate::progress::Progress;
-use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments};
+use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments, warm_up};
 
 /// `s2mia learner`
 #[derive(Args, Debug)]
@@ -80,6 +80,7 @@ async fn serve(
         listener = listener.with_token(token, &folder);
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
+    warm_up::remark(&config).iter().for_each(output::line);
     let page = arguments.page.open(page_tls).await?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::observe::event::Event| progress.observe(event));

@@ -17,7 +17,9 @@ use crate::endpoints::PageArguments;
 use crate::figures::{chart, learning_curve};
 use crate::process::{self, output, runtime, shell};
 use crate::progress::Progress;
-use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments, run_path, session};
+use crate::run::{
+    self, PreparedRun, ResumeArguments, SettingsArguments, run_path, session, warm_up,
+};
 
 /// `s2mia train`
 #[derive(Args, Debug)]
@@ -43,6 +45,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<()> {
         run::prepare(&arguments.settings, &arguments.resume, &Transport::PlainTextOnLoopback)?;
     let PreparedRun { config, folder, launch, .. } = &prepared;
     output::line(opening(config, &launch.environment.task, folder));
+    warm_up::remark(config).iter().for_each(output::line);
     let (stop_sender, stop) = watch::channel(false);
     if arguments.stop_with_stdin {
         process::stop_with_stdin(stop_sender.clone())?;
