@@ -6,7 +6,7 @@ mod maddpg;
 mod surprise;
 
 use policy::InputNorm;
-use policy::setting::{SettingError, between, not_negative, positive, within};
+use policy::setting::{SettingError, between, learning_rate, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
 
 pub use self::hasac::HasacConfig;
@@ -20,6 +20,11 @@ use crate::optimisation::optimizer::AdamConfig;
 const WIDEST: usize = 4096;
 /// Most epochs, and most minibatches of one.
 const MOST_PASSES: usize = 65_536;
+
+/// Largest weight of a term of the reward or of an objective.
+const MOST_WEIGHT: f64 = 1000.0;
+/// Fewest and most optimiser steps per environment step of a rule with a replay.
+const UPDATES_PER_STEP: (f64, f64) = (1e-4, 10.0);
 
 /// All settings of a learning rule, by section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -217,13 +222,13 @@ impl UpdateConfig {
     fn validate(&self) -> Result<(), SettingError> {
         within("update.gamma", self.gamma, 0.0..1.0, "0 <= gamma < 1")?;
         within("update.gae_lambda", self.gae_lambda, 0.0..=1.0, "0 <= gae_lambda <= 1")?;
-        positive("update.learning_rate", self.learning_rate)?;
-        positive("update.adam_epsilon", self.adam_epsilon)?;
+        learning_rate("update.learning_rate", self.learning_rate)?;
+        between("update.adam_epsilon", self.adam_epsilon, 1e-12, 1.0)?;
         within("update.clip", self.clip, f64::MIN_POSITIVE..1.0, "0 < clip < 1")?;
         between("update.epochs", self.epochs, 1, MOST_PASSES)?;
         between("update.minibatches", self.minibatches, 1, MOST_PASSES)?;
         not_negative("update.desired_kl", self.desired_kl)?;
-        not_negative("update.entropy", self.entropy)?;
+        between("update.entropy", self.entropy, 0.0, MOST_WEIGHT)?;
         positive("update.max_gradient_norm", self.max_gradient_norm)
     }
 }
@@ -238,7 +243,7 @@ impl CriticConfig {
     fn validate(&self) -> Result<(), SettingError> {
         between("critic.layers", self.layers, 1, 16)?;
         between("critic.width", self.width, 1, WIDEST)?;
-        positive("critic.learning_rate", self.learning_rate)?;
+        learning_rate("critic.learning_rate", self.learning_rate)?;
         between("critic.epochs", self.epochs, 1, MOST_PASSES)?;
         between("critic.minibatches", self.minibatches, 1, MOST_PASSES)?;
         not_negative("critic.clip", self.clip)?;

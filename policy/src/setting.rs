@@ -67,6 +67,14 @@ pub fn not_negative(key: &'static str, value: f64) -> Result<(), SettingError> {
     within(key, value, 0.0..f64::INFINITY, "a finite number of at least 0")
 }
 
+/// Refuses a learning rate outside `(0, 1]`: an optimiser step of Adam moves each weight by about the learning rate.
+///
+/// # Errors
+/// As [`within`].
+pub fn learning_rate(key: &'static str, value: f64) -> Result<(), SettingError> {
+    within(key, value, f64::MIN_POSITIVE..=1.0, "above 0, at most 1")
+}
+
 /// Refuses 0.
 ///
 /// # Errors
@@ -118,6 +126,7 @@ mod tests {
         for (refused, range) in [
             (between("a.b", 5, 1, 4), "5 is out of range: 1 to 4"),
             (not_negative("a.b", -1.0), "-1 is out of range: a finite number of at least 0"),
+            (learning_rate("a.b", 1.5), "1.5 is out of range: above 0, at most 1"),
             (count("a.b", 0), "0 is out of range: at least 1"),
             (multiple("a.b", 5, "a.c", 2), "5 is out of range: a multiple of a.c = 2"),
             (divisor("a.b", 3, "a.c", 20), "3 is out of range: a divisor of a.c = 20"),

@@ -54,6 +54,10 @@ pub struct AgentSpec {
     pub action: ActionSpec,
 }
 
+/// Largest continuous action, in units of half a range. Rewards count squares of actions that are not clamped: this bound keeps
+/// them finite.
+pub const LARGEST_ACTION: f32 = 1e6;
+
 /// An agent's action, `[size]`: continuous, clamped by the world to `low..=high`, or one choice. In runs a continuous
 /// action is in units of half a range: -1 and 1 are the limits of each number's own range, and 0 is its middle. The range
 /// of a program that provides an environment is in its own unit.

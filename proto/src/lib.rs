@@ -40,7 +40,8 @@ pub use calls::{
 };
 pub use digest::Digest;
 pub use environment::{
-    ActionSpec, AgentSpec, EnvironmentSpec, FeatureRole, FeatureSpec, SpecDifference,
+    ActionSpec, AgentSpec, EnvironmentSpec, FeatureRole, FeatureSpec, LARGEST_ACTION,
+    SpecDifference,
 };
 pub use episode_position::EpisodePosition;
 pub use episodes::{Episodes, rollout_episode_id};

@@ -1,6 +1,6 @@
 //! The interface of vectorised environments, which `sim` or another program steps.
 
-use proto::{ActuatorSpec, AgentSpec, EnvironmentSpec, EpisodePosition};
+use proto::{ActuatorSpec, AgentSpec, EnvironmentSpec, EpisodePosition, LARGEST_ACTION};
 
 use crate::config::TaskConfig;
 use crate::environments::RobotEnvironments;
@@ -184,10 +184,6 @@ pub trait EnvironmentBatch: Send {
         None
     }
 }
-
-/// Largest continuous action, in units of half a range. Rewards count squares of actions that are not clamped: this bound keeps
-/// them finite.
-const LARGEST_ACTION: f32 = 1e6;
 
 /// Checks actions `[E, A]` of `environments` environments of a task: their number, that continuous ones are numbers of at most
 /// 1e6, and that discrete ones are indices of choices.

@@ -245,3 +245,20 @@ fn a_resume_with_fewer_iterations_is_rejected() {
     let error = prepare(resumed(launch_in(folder.path(), 1))).map(drop).unwrap_err();
     assert!(error.to_string().contains("stands at iteration 2, past the 1"), "{error}");
 }
+
+#[test]
+fn a_policy_that_diverges_ends_the_run_with_its_agent_iteration_and_learning_rate() {
+    for (rate, why) in [(1e6, "its output is "), (1e300, "has a value that is not finite")] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut launch = launch_in(folder.path(), 5);
+        launch.training.update.learning_rate = rate;
+        let line = train_until(launch, 2, |_| false).unwrap_err().to_string();
+        assert!(line.starts_with("the policy of agent "), "{line}");
+        assert!(
+            line.contains(" diverged in the update of iteration ") && line.contains(why),
+            "{line}"
+        );
+        let remedy = format!("start a new run with update.learning_rate below {rate:?}; ");
+        assert!(line.contains(&remedy), "{line}");
+    }
+}

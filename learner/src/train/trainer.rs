@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use marl::{Algorithm, Batch, MarlError, ObservationMoments, Report, StoredState as _, Surprise};
+use policy::PolicySnapshot;
 use policy::arrays::NamedArrays;
 use proto::{PolicyVersion, WeightsName};
 use rayon::ThreadPool;
@@ -85,6 +86,8 @@ pub struct RunningTrainer {
 /// The result of an update.
 struct Update {
     report: Report,
+    /// The weights after it.
+    weights: NamedArrays,
     density_secs: f64,
     update_secs: f64,
 }
@@ -244,7 +247,7 @@ impl RunningTrainer {
             metrics,
         };
         trainer.metrics.iteration(&report)?;
-        trainer.trace(collected.behaviour, &collected.rollouts, &update.report)?;
+        trainer.trace(collected.behaviour, &collected.rollouts, update)?;
         self.advise(report.actors);
         self.report_divergence();
         self.report_instability(&report);
@@ -323,30 +326,34 @@ impl Trainer {
         let report = pool.install(update)?;
         pool.install(|| observations.take_in(batch));
         let next = self.iteration + 1;
-        self.encode_policies(next).map_err(|why| {
-            let remedy = "the update diverged, so lower update.learning_rate";
-            LearnerError::Other(format!("no policies after iteration {next}: {why}; {remedy}"))
-        })?;
+        let weights = self.algorithm.weights()?;
+        if let Some(found) = divergence::infinite(&weights) {
+            return Err(divergence::refusal(&self.launch.training, next, &found));
+        }
+        let policies = self.encode_policies(next)?;
+        if let Some(found) = divergence::unusable(&policies, batch) {
+            return Err(divergence::refusal(&self.launch.training, next, &found));
+        }
         let update_secs = begin.elapsed().as_secs_f64();
-        Ok(Update { report, density_secs, update_secs })
+        Ok(Update { report, weights, density_secs, update_secs })
     }
 
     /// Encodes the policies for the rollouts of an iteration.
-    pub(crate) fn encode_policies(&mut self, iteration: u64) -> Result<(), MarlError> {
+    pub(crate) fn encode_policies(&mut self, iteration: u64) -> Result<PolicySnapshot, MarlError> {
         let share = self.launch.policy.noise_share(self.steps_after(iteration));
         self.algorithm.scale_noise(share);
         let snapshot = self.observations.snapshot(self.algorithm.snapshot()?);
         self.policy = Bytes::from(snapshot.to_bytes()?);
-        Ok(())
+        Ok(snapshot)
     }
 
     fn trace(
         &mut self,
         behaviour: WeightsName,
         rollouts: &[SlotRollout],
-        report: &Report,
+        Update { report, weights, .. }: &Update,
     ) -> Result<(), LearnerError> {
-        let weights = checkpoint::weights_sha256(&self.algorithm.weights()?);
+        let weights = checkpoint::weights_sha256(weights);
         let density: NamedArrays = self.surprise.arrays()?;
         self.provenance.iteration(&WeightsOrigin {
             iteration: self.iteration,

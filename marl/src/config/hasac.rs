@@ -1,7 +1,9 @@
 //! Settings of HASAC only: its replay, normalisation and temperature.
 
-use policy::setting::{SettingError, between, count, positive, within};
+use policy::setting::{SettingError, between, count, within};
 use serde::{Deserialize, Serialize};
+
+use super::{MOST_WEIGHT, UPDATES_PER_STEP};
 
 /// HASAC's replay, batch norm and temperature. Learning rates, discount and sizes are in the sections `update`, `critic`
 /// and `policy`.
@@ -34,13 +36,12 @@ impl HasacConfig {
         between("hasac.replay", self.replay, 1, 1_000_000)?;
         between("hasac.batch", self.batch, 2, 65_536)?;
         count("hasac.n_step", self.n_step)?;
-        let ratio = "0 < updates_per_step <= 10";
-        let updates = f64::MIN_POSITIVE..=10.0;
-        within("hasac.updates_per_step", self.updates_per_step, updates, ratio)?;
+        let (fewest, most) = UPDATES_PER_STEP;
+        between("hasac.updates_per_step", self.updates_per_step, fewest, most)?;
         within("hasac.policy_every", self.policy_every, 1.., "at least 1")?;
         let momentum = f64::MIN_POSITIVE..=1.0;
         within("hasac.norm_momentum", self.norm_momentum, momentum, "0 < norm_momentum <= 1")?;
-        positive("hasac.initial_temperature", self.initial_temperature)?;
+        between("hasac.initial_temperature", self.initial_temperature, 1e-6, MOST_WEIGHT)?;
         let range = "0 <= first_moment < 1";
         within("hasac.first_moment", self.first_moment, 0.0..1.0, range)
     }

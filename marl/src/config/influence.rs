@@ -1,9 +1,9 @@
 //! Settings of the influence term and its posteriors.
 
-use policy::setting::{SettingError, between, not_negative, positive, within};
+use policy::setting::{SettingError, between, learning_rate, positive, within};
 use serde::{Deserialize, Serialize};
 
-use super::{MOST_PASSES, WIDEST};
+use super::{MOST_PASSES, MOST_WEIGHT, WIDEST};
 
 /// Influence maximisation (Eq. 5-10).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,12 +59,12 @@ pub enum QTraining {
 
 impl InfluenceConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
-        not_negative("influence.lambda", self.lambda)?;
+        between("influence.lambda", self.lambda, 0.0, MOST_WEIGHT)?;
         positive("influence.kappa", self.kappa)?;
         between("influence.encoder", self.encoder, 1, WIDEST)?;
         between("influence.hidden", self.hidden, 1, WIDEST)?;
         between("influence.epochs", self.epochs, 1, MOST_PASSES)?;
-        positive("influence.learning_rate", self.learning_rate)?;
+        learning_rate("influence.learning_rate", self.learning_rate)?;
         between("influence.minibatches", self.minibatches, 1, MOST_PASSES)?;
         positive("influence.posterior_sigma_floor", self.posterior_sigma_floor)?;
         let some = "at least 2: with 1 no environment would be left to train on";

@@ -3,6 +3,8 @@
 use policy::setting::{SettingError, between, count, within};
 use serde::{Deserialize, Serialize};
 
+use super::UPDATES_PER_STEP;
+
 /// MADDPG's exploration, replay and targets. Learning rates, discount and critic sizes are in the sections `update` and
 /// `critic`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,9 +32,8 @@ impl MaddpgConfig {
         between("maddpg.replay", self.replay, 1, 1_000_000)?;
         between("maddpg.batch", self.batch, 1, 65_536)?;
         count("maddpg.n_step", self.n_step)?;
-        let ratio = "0 < updates_per_step <= 10";
-        let updates = f64::MIN_POSITIVE..=10.0;
-        within("maddpg.updates_per_step", self.updates_per_step, updates, ratio)?;
+        let (fewest, most) = UPDATES_PER_STEP;
+        between("maddpg.updates_per_step", self.updates_per_step, fewest, most)?;
         // Actors have the noise in single precision.
         let noises = f64::from(f32::MIN_POSITIVE)..=10.0;
         within("maddpg.noise", self.noise, noises, "above 0, at most 10")?;

@@ -1,7 +1,9 @@
 //! Settings of the surprise reward.
 
-use policy::setting::{SettingError, not_negative};
+use policy::setting::{SettingError, between};
 use serde::{Deserialize, Serialize};
+
+use super::MOST_WEIGHT;
 
 /// Surprise minimisation (Eq. 2-4, 9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,6 +31,6 @@ pub enum DensityKind {
 
 impl SurpriseConfig {
     pub(super) fn validate(&self) -> Result<(), SettingError> {
-        not_negative("surprise.alpha", self.alpha)
+        between("surprise.alpha", self.alpha, 0.0, MOST_WEIGHT)
     }
 }

@@ -1,6 +1,13 @@
 //! Reports that simulated environments diverge: each such step ends an episode early, and a policy learns from what is left. Also
-//! reports that the update diverges: steps with a gradient that is not finite are skipped.
+//! reports that the update diverges: steps with a gradient that is not finite are skipped. Weights or policies that have diverged
+//! end the run.
 
+use marl::{Batch, TrainingConfig};
+use policy::arrays::{Array, NamedArrays};
+use policy::{Head, PolicySnapshot, Scratch};
+use proto::LARGEST_ACTION;
+
+use crate::error::LearnerError;
 use crate::observe::event::IterationReport;
 use crate::train::trainer::RunningTrainer;
 
@@ -17,6 +24,74 @@ pub(super) struct Divergence {
     update_reported: bool,
     /// Optimiser steps skipped so far, as of the last iteration of this start.
     skipped: Option<f64>,
+}
+
+/// A network that has diverged.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Diverged {
+    /// Name of its weights, such as `agent_0`, `shared` or `critic`.
+    network: String,
+    /// What is wrong with it.
+    why: String,
+}
+
+/// The first network with a weight that is not finite.
+pub(super) fn infinite(weights: &NamedArrays) -> Option<Diverged> {
+    let is_infinite = |array: &Array| match array {
+        Array::F32 { data, .. } => data.iter().any(|number| !number.is_finite()),
+        Array::F64 { data, .. } => data.iter().any(|number| !number.is_finite()),
+        Array::I64 { .. } | Array::U8 { .. } => false,
+    };
+    let (name, _) = weights.iter().find(|(_, array)| is_infinite(array))?;
+    let (network, array) = name.trim_start_matches("weights/").split_once('.')?;
+    let why = format!("{array} has a value that is not finite");
+    Some(Diverged { network: network.to_owned(), why })
+}
+
+/// The first policy whose actions no environment accepts, for the observations of the last step of `batch`.
+pub(super) fn unusable(policies: &PolicySnapshot, batch: &Batch) -> Option<Diverged> {
+    let rows = batch.environments;
+    let mut scratch = Scratch::default();
+    let mut pairs = policies.agents.iter().zip(&batch.agents).enumerate();
+    pairs.find_map(|(index, (policy, own))| {
+        let first = own.observation.len() - rows * policy.observation_size();
+        let mut hidden = vec![0.0; rows * policy.hidden_size()];
+        let mut output = vec![0.0; rows * policy.output_size()];
+        policy.forward(rows, &own.observation[first..], &mut hidden, &mut output, &mut scratch);
+        let largest = match policy.head() {
+            Head::Gaussian | Head::SharedGaussian(_) => LARGEST_ACTION,
+            _ => f32::MAX,
+        };
+        let found = output.into_iter().find(|value| value.is_nan() || value.abs() > largest)?;
+        let why = format!("its output is {found:e}, the limit is {largest:e}");
+        Some(Diverged { network: format!("agent_{index}"), why })
+    })
+}
+
+/// The error that ends a run after the update of `iteration`.
+pub(super) fn refusal(
+    training: &TrainingConfig,
+    iteration: u64,
+    diverged: &Diverged,
+) -> LearnerError {
+    let Diverged { network, why } = diverged;
+    let (kind, agent) = match network.rsplit_once('_') {
+        Some((kind, number)) if number.parse::<usize>().is_ok() => {
+            (kind, format!(" of agent {number}"))
+        }
+        _ => (network.as_str(), String::new()),
+    };
+    let (words, key, rate) = match kind {
+        "agent" => ("policy", "update", training.update.learning_rate),
+        "shared" => ("shared policy", "update", training.update.learning_rate),
+        "posterior" => ("posterior", "influence", training.influence.learning_rate),
+        "critic" | "q" | "target_q" => ("critic", "critic", training.critic.learning_rate),
+        other => (other, "update", training.update.learning_rate),
+    };
+    LearnerError::Other(format!(
+        "the {words}{agent} diverged in the update of iteration {iteration}: {why}; start a new run with {key}.learning_rate \
+         below {rate:?}; earlier checkpoints are kept"
+    ))
 }
 
 /// How bad it is.
@@ -129,6 +204,23 @@ mod tests {
             resumed.update(&report(iteration, "agent0/skipped_steps", count)).is_some()
         });
         assert_eq!(lines, [false, false, true, false]);
+    }
+
+    #[test]
+    fn the_first_weight_that_is_not_finite_ends_the_run_with_its_network_and_learning_rate() {
+        let array = |number: f32| Array::F32 { shape: vec![1], data: vec![number] };
+        let weights = |name: &str, number| -> NamedArrays {
+            let named = [("weights/agent_0.head.bias", 1.0), (name, number)];
+            named.into_iter().map(|(name, number)| (name.to_owned(), array(number))).collect()
+        };
+        assert_eq!(infinite(&weights("weights/critic.head.weight", 1e38)), None);
+        for (name, network, why) in [
+            ("weights/agent_1.head.bias", "agent_1", "head.bias has a value that is not finite"),
+            ("weights/critic.norm.weight", "critic", "norm.weight has a value that is not finite"),
+        ] {
+            let expected = Diverged { network: network.to_owned(), why: why.to_owned() };
+            assert_eq!(infinite(&weights(name, f32::INFINITY)), Some(expected));
+        }
     }
 
     #[test]
