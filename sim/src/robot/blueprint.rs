@@ -80,8 +80,6 @@ pub(crate) struct LinkPlan {
     /// Whether MuJoCo counts the whole inverse mass in the softness of its constraints, not a mean over three directions:
     /// one body that slides along axes of its inertia, without children and on nothing that moves.
     pub(crate) is_slider: bool,
-    /// Number of its bodies that have a mass.
-    pub(crate) massive_bodies: usize,
     pub(crate) shapes: Vec<ShapePlan>,
 }
 

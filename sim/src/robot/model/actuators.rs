@@ -151,8 +151,7 @@ fn driven(
         );
         return Err(element.refuse_for(attribute, reason));
     }
-    let index =
-        context.index(element, attribute, ("hinge, slide or ball joint", known.into_iter()))?;
+    let index = context.index(element, attribute, ("hinge, slide or ball joint", known))?;
     match hinges.get(index) {
         Some(hinge) => Ok(Driven {
             name,

@@ -135,7 +135,6 @@ impl<'a> Links<'a> {
             mass,
             gravity_scale,
             is_slider,
-            massive_bodies: 0,
             shapes,
         });
         self.masses.push(MassSum::default());
@@ -201,7 +200,6 @@ impl<'a> Links<'a> {
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
             self.mass_centres[index] = centre;
-            self.plans[link].massive_bodies += 1;
             self.plans[link].is_slider = lies_in_axes(body, &own.solid(), axes);
             if body.geoms.iter().all(|geom| !geom.is_ellipsoid_in_fluid()) {
                 context.options.fluid.add(link, &own.solid(), axes);

@@ -264,7 +264,7 @@ fn a_start_that_does_not_meet_a_condition_is_named_with_its_value() {
         ),
         ("coordinate = \"rootz\"\nbelow = -1", "`healthy.rootz` (below = -1, is "),
     ] {
-        let file = changed("coordinate = \"rootz\"\nat_least = -0.5", row);
+        let file = changed("[[healthy]]\n", &format!("[[healthy]]\n{row}\n[[healthy]]\n"));
         let found = environments(&config(&file, ObservationMode::FullId), 1).unwrap().warnings();
         let start = format!("the start does not meet {expected}");
         assert!(found.len() == 1 && found[0].starts_with(&start), "{found:?}");

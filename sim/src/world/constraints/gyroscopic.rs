@@ -10,7 +10,7 @@ const SIZE: usize = 6;
 
 type Block = [[f64; SIZE]; SIZE];
 
-/// A free link that is one body and carries no other.
+/// A free link that carries no other; bodies that are welded to it are part of it.
 pub(super) struct LoneLink {
     link: usize,
     /// Its first velocity.
@@ -24,8 +24,7 @@ impl LoneLink {
         let carries = |link: usize| links.iter().any(|other| other.parent == Some(link));
         let is_free =
             |link: usize| matches!(links[link].joint, JointPlan::Free(_) | JointPlan::Floating(_));
-        let lone = (0..links.len())
-            .filter(|link| is_free(*link) && links[*link].massive_bodies == 1 && !carries(*link));
+        let lone = (0..links.len()).filter(|link| is_free(*link) && !carries(*link));
         lone.map(|link| Self { link, dof: robot.layout.joints[link].dof }).collect()
     }
 
