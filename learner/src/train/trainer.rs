@@ -323,13 +323,15 @@ impl Trainer {
         let decay = launch.training.update.learning_rate_decay;
         algorithm.scale_learning_rates(decay.share(*iteration, launch.iterations));
         let update = || algorithm.update(&seen, &rewards, *iteration);
-        let report = pool.install(update)?;
-        pool.install(|| observations.take_in(batch));
-        let next = self.iteration + 1;
-        let weights = self.algorithm.weights()?;
+        let report = pool.install(update);
+        let next = *iteration + 1;
+        let weights = algorithm.weights()?;
+        // An update that fails because of such weights does not say which.
         if let Some(found) = divergence::infinite(&weights) {
-            return Err(divergence::refusal(&self.launch.training, next, &found));
+            return Err(divergence::refusal(&launch.training, next, &found));
         }
+        let report = report?;
+        pool.install(|| observations.take_in(batch));
         let policies = self.encode_policies(next)?;
         if let Some(found) = divergence::unusable(&policies, batch) {
             return Err(divergence::refusal(&self.launch.training, next, &found));
