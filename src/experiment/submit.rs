@@ -2,12 +2,12 @@
 //! with its volume and the experiment's file.
 
 use std::io::ErrorKind;
-use std::net::IpAddr;
 use std::path::{Component, Path};
 use std::process::Command;
 
 use anyhow::Context as _;
 use learner::store::plain_file;
+use security::addresses;
 
 use super::PlannedRun;
 use super::file::{ExperimentFile, LIMIT_BYTES};
@@ -253,8 +253,7 @@ fn is_of_this_host(url: &str) -> bool {
         Some(rest) => rest.split(']').next().unwrap_or(rest),
         None => host.split(':').next().unwrap_or(host),
     };
-    host.eq_ignore_ascii_case("localhost")
-        || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+    addresses::is_loopback(host)
 }
 
 /// The volume holds the paths that start in the working folder.

@@ -1,5 +1,6 @@
 """Trained policies that act in this process, with the program's own code: the same bits as `s2mia eval`."""
 
+import functools
 import json
 import os
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from s2mia.values import Numbers, agent_fields, checked_seed
 class Policies(Acting):
     """The policies of a run. `load` and `pretrained` return them. A copy, or what is unpickled, is loaded and begins anew."""
 
-    def __init__(self, native: Native, made: tuple[Any, ...]) -> None:
+    def __init__(self, native: Native, made: Callable[[], "Policies"]) -> None:
         about: dict[str, Any] = json.loads(native.description)
         agents = [Agent(**agent_fields(own)) for own in about.pop("agents")]
         super().__init__(Description(agents=agents, **about))
@@ -25,7 +26,7 @@ class Policies(Acting):
         self._made = made
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return self._made
+        return self._made, ()
 
     def close(self) -> None:
         """Does nothing: there is no connection, and the team still acts."""
@@ -54,12 +55,8 @@ def load(
     """
     which = None if checkpoint is None else str(checkpoint)
     folder = os.path.abspath(os.path.expanduser(run))
-    return _made(lambda own: Native(os.fspath(run), own, which), seed, (_again, (folder, seed, which)))
-
-
-def _again(run: str, seed: int | None, checkpoint: str | None) -> Policies:
-    """The policies of a copy."""
-    return load(run, seed, checkpoint=checkpoint)
+    again = functools.partial(load, folder, seed, checkpoint=which)
+    return _made(lambda own: Native(os.fspath(run), own, which), seed, again)
 
 
 def pretrained(task: str, seed: int | None = None) -> Policies:
@@ -68,10 +65,10 @@ def pretrained(task: str, seed: int | None = None) -> Policies:
     Raises `RunError` if there is none; its line names the nearest task, or all that have a team.
     """
     name = task_text(task)
-    return _made(lambda own: Native.pretrained(name, own), seed, (pretrained, (name, seed)))
+    return _made(lambda own: Native.pretrained(name, own), seed, functools.partial(pretrained, name, seed))
 
 
-def _made(native: Callable[[int | None], Native], seed: int | None, made: tuple[Any, ...]) -> Policies:
+def _made(native: Callable[[int | None], Native], seed: int | None, made: Callable[[], Policies]) -> Policies:
     """Policies of `native` for a checked seed; `made` makes them once more."""
     own = checked_seed(seed)
     try:
