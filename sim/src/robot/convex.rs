@@ -224,6 +224,14 @@ impl Convex {
         }
     }
 
+    /// Pose, and half the length and the radius (m) of a cylinder.
+    pub(crate) fn cylinder(&self) -> Option<(&Pose, [f32; 2])> {
+        match self.form {
+            Form::Cylinder(sizes) => Some((&self.pose, sizes)),
+            _ => None,
+        }
+    }
+
     /// Whether it is a hull.
     pub(crate) fn is_hull(&self) -> bool {
         matches!(self.form, Form::Hull(..))

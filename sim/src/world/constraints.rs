@@ -13,14 +13,15 @@
 
 mod contact;
 mod contacts;
+mod convex;
 mod couplings;
 mod gyroscopic;
 mod matrix;
 mod motion;
 mod near;
+mod pair;
 mod points;
 mod problem;
-mod round;
 mod rows;
 mod runge_kutta;
 mod segments;

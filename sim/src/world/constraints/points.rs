@@ -8,12 +8,14 @@ use rapier3d::parry::query::{
 };
 use rapier3d::parry::shape::{PackedFeatureId, SupportMap as _};
 
-use super::round::{keep_deepest, sharpen};
+use super::convex::{keep_deepest, sharpen};
 use super::segments::touch_capsules;
 use crate::robot::{Convex, GroundForm};
 
 /// Points of contact that are nearer to each other are one, m.
 const SAME_POINT: f32 = 5e-5;
+/// Sine of the tilt of a cylinder's axis up to which it stands upright.
+const UPRIGHT: f32 = 1e-6;
 /// Most contacts of a shape with a height field, as in MuJoCo.
 const MOST_IN_FIELD: usize = 50;
 
@@ -28,9 +30,13 @@ pub(super) fn touch(
     manifolds: &mut Manifolds,
 ) {
     let (one, other) = (one.shape(), other.shape());
-    let hull = other.as_shape::<Convex>().filter(|convex| convex.is_hull());
-    if let (Some(_), Some(hull)) = (one.as_halfspace(), hull) {
+    let convex = other.as_shape::<Convex>().filter(|_| one.as_halfspace().is_some());
+    if let Some(hull) = convex.filter(|convex| convex.is_hull()) {
         manifolds.push(hull_on_plane(hull, between, margin));
+        return;
+    }
+    if let Some((inside, sizes)) = convex.and_then(Convex::cylinder) {
+        manifolds.push(cylinder_on_plane(sizes, &(*between * *inside), between, margin));
         return;
     }
     // The engine has no contacts for a plane with another plane, which do not meet.
@@ -57,6 +63,35 @@ fn hull_on_plane(hull: &Convex, between: &Pose, margin: f32) -> ContactManifold<
         let below = Vector::new(place.x, place.y, 0.0);
         manifold.points.push(TrackedContact::new(below, corner, id, id, place.z));
     });
+    manifold
+}
+
+/// The points of a cylinder with the pose `pose` that touch a plane, as in MuJoCo: the lowest one of its rim, that at the other end
+/// of its side, and two on the lower rim at 120 degrees from the first.
+fn cylinder_on_plane(
+    [half, radius]: [f32; 2],
+    pose: &Pose,
+    between: &Pose,
+    margin: f32,
+) -> ContactManifold<(), ()> {
+    let mut manifold = ContactManifold::new();
+    manifold.local_n1 = Vector::Z;
+    let axis = pose.rotation * Vector::Z;
+    let axis = if axis.z > 0.0 { -axis } else { axis };
+    let down = axis * axis.z - Vector::Z;
+    let down = if down.length() > UPRIGHT { down.normalize() } else { pose.rotation * Vector::X };
+    let (end, rim) = (axis * half, down * radius);
+    let side = rim.cross(axis).normalize_or_zero() * (radius * 0.75_f32.sqrt());
+    let offsets = [end + rim, rim - end, end - rim * 0.5 + side, end - rim * 0.5 - side];
+    let back = between.inverse();
+    for (id, offset) in (0..).zip(offsets) {
+        let place = pose.translation + offset;
+        // Without the lowest point none touches.
+        if place.z <= margin {
+            let (id, below) = (PackedFeatureId::vertex(id), Vector::new(place.x, place.y, 0.0));
+            manifold.points.push(TrackedContact::new(below, back * place, id, id, place.z));
+        }
+    }
     manifold
 }
 
@@ -112,4 +147,50 @@ pub(super) fn frame(normal: Vector, along: Vector) -> [Vector; 3] {
     // A capsule that stands on its end has no direction in the plane.
     let tangent = tangent.try_normalize().unwrap_or_else(|| normal.any_orthonormal_vector());
     [normal, tangent, normal.cross(tangent)]
+}
+
+#[cfg(test)]
+mod tests {
+    use rapier3d::math::Rotation;
+
+    use super::*;
+    use crate::scene::Shape;
+
+    /// Places and depths of a cylinder of radius 0.1 m and length 0.2 m around a point 0.09 m above a plane, tilted around x.
+    fn points(degrees: f32, margin: f32) -> Vec<[f32; 4]> {
+        let form = Shape::Cylinder { half_length: 0.1, radius: 0.1 };
+        let cylinder = Convex::new(&form, &Pose::IDENTITY).unwrap();
+        let turn = Rotation::from_rotation_x(degrees.to_radians());
+        let pose = Pose::from_parts(Vector::new(0.0, 0.0, 0.09), turn);
+        let (inside, sizes) = cylinder.cylinder().unwrap();
+        let manifold = cylinder_on_plane(sizes, &(pose * *inside), &pose, margin);
+        let row = |point: &TrackedContact<()>| {
+            let at = pose * point.local_p2;
+            [at.x, at.y, at.z, point.dist]
+        };
+        manifold.points.iter().map(row).collect()
+    }
+
+    /// Of MuJoCo 4.0.0, `pos` and `dist` of contacts.
+    #[test]
+    fn a_cylinder_touches_a_plane_where_mujocos_does() {
+        let upright = vec![
+            [0.1, 0.0, -0.01, -0.01],
+            [-0.05, 0.086603, -0.01, -0.01],
+            [-0.05, -0.086603, -0.01, -0.01],
+        ];
+        let tilted = vec![
+            [0.0, -0.092781, -0.016732, -0.016732],
+            [0.086603, 0.056854, -0.006269, -0.006269],
+            [-0.086603, 0.056854, -0.006269, -0.006269],
+        ];
+        let lying = vec![[0.0, 0.09824, -0.01173, -0.01173], [0.0, -0.10173, -0.00824, -0.00824]];
+        for (degrees, expected) in [(0.0, upright), (4.0, tilted), (89.0, lying)] {
+            let found = points(degrees, 0.0);
+            assert_eq!(found.len(), expected.len(), "{degrees}");
+            let off = found.as_flattened().iter().zip(expected.as_flattened());
+            let off = off.map(|(one, other)| (one - other).abs()).fold(0.0, f32::max);
+            assert!(off < 6e-6, "{degrees}: {found:?}");
+        }
+    }
 }

@@ -1,0 +1,151 @@
+//! Contacts of convex shapes. The engine finds the normals of ellipsoids and cylinders only roughly, and misses contacts of capsules.
+
+use rapier3d::math::Pose;
+use rapier3d::parry::query::ContactManifold;
+use rapier3d::parry::shape::Shape;
+
+use super::pair::Pair;
+use crate::robot::Convex;
+
+/// Finds the contacts of convex shapes anew that the engine finds roughly: those of an ellipsoid or a cylinder, and wrong ones. Of
+/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them.
+pub(super) fn sharpen(
+    shapes: [&dyn Shape; 2],
+    between: &Pose,
+    margin: f32,
+    manifold: &mut ContactManifold<(), ()>,
+) {
+    let convex = shapes.map(|shape| shape.as_shape::<Convex>());
+    if convex.iter().all(Option::is_none) {
+        return;
+    }
+    let Some(pair) = Pair::new(shapes, between) else { return };
+    let is_round = convex.into_iter().flatten().any(Convex::is_round);
+    if is_round || !pair.is_right(manifold, margin) {
+        Pair::find(shapes, between, (margin, is_round), manifold);
+    }
+    let along = [manifold.local_n1, manifold.local_n2];
+    let mut faces = convex.iter().zip(along);
+    if !faces.any(|(convex, along)| convex.is_some_and(|convex| convex.has_face(along))) {
+        keep_deepest(manifold);
+    }
+}
+
+/// Keeps the point that was added last: the deepest one of two convex shapes.
+pub(super) fn keep_deepest(manifold: &mut ContactManifold<(), ()>) {
+    let others = manifold.points.len().saturating_sub(1);
+    manifold.points.drain(..others);
+}
+
+#[cfg(test)]
+mod tests {
+    use rapier3d::math::{Rotation, Vector};
+    use rapier3d::parry::query::{DefaultQueryDispatcher, PersistentQueryDispatcher as _};
+    use rapier3d::prelude::SharedShape;
+
+    use super::*;
+    use crate::scene::Shape as Form;
+
+    const ELLIPSOID: [f32; 3] = [0.15, 0.1, 0.05];
+    const DEPTH: f32 = 1e-3;
+
+    /// The normal, the distance and the point on the ellipsoid of its contact with another shape.
+    fn contact(other: &SharedShape, pose: &Pose) -> (Vector, f32, Vector) {
+        let ellipsoid = Convex::shared(&Form::Ellipsoid { half_sizes: ELLIPSOID }, &Pose::IDENTITY);
+        let mut manifold = ContactManifold::new();
+        sharpen([&*ellipsoid, &**other], pose, 0.0, &mut manifold);
+        let [point] = &manifold.points[..] else { panic!("{} points", manifold.points.len()) };
+        (manifold.local_n1, point.dist, point.local_p1)
+    }
+
+    /// The upper edge of a box along x and the lower one of another along y cross 0.02 m deep.
+    #[test]
+    fn crossed_edges_touch_in_one_point() {
+        let cube = Convex::shared(&Form::Box { half_sizes: [0.1; 3] }, &Pose::IDENTITY);
+        let turned = |axis: Vector| Rotation::from_axis_angle(axis, std::f32::consts::FRAC_PI_4);
+        let height = 0.1 * std::f32::consts::SQRT_2;
+        let below = Pose::from_parts(Vector::ZERO, turned(Vector::X));
+        let above = Vector::new(0.02, 0.03, 2.0 * height - 0.02);
+        let between = below.inv_mul(&Pose::from_parts(above, turned(Vector::Y)));
+        let mut manifold = ContactManifold::<(), ()>::new();
+        let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
+            &between,
+            &*cube,
+            &*cube,
+            None,
+            None,
+            0.0,
+            &mut manifold,
+        );
+        assert!(found.is_ok() && manifold.points.len() > 1);
+        sharpen([&*cube, &*cube], &between, 0.0, &mut manifold);
+        let [point] = &manifold.points[..] else { panic!("{} points", manifold.points.len()) };
+        assert!((below.rotation * manifold.local_n1 - Vector::Z).length() < 1e-3);
+        let place = below * point.local_p1;
+        assert!((place - Vector::new(0.02, 0.0, height)).length() < 1e-3, "{place}");
+        assert!((point.dist + 0.02).abs() < 1e-5, "{}", point.dist);
+    }
+
+    #[test]
+    fn a_capsule_whose_axis_ends_on_a_face_has_its_normal() {
+        let cube = Convex::shared(&Form::Box { half_sizes: [0.1; 3] }, &Pose::IDENTITY);
+        for step in 0..30 {
+            let (sine, cosine) = libm::sincosf(0.05 * step as f32 - 0.7);
+            let start = Vector::new(0.1, 0.0, 0.0);
+            let capsule =
+                SharedShape::capsule(start, start + 0.3 * Vector::new(cosine, 0.0, sine), 0.03);
+            let mut manifold = ContactManifold::<(), ()>::new();
+            let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
+                &Pose::IDENTITY,
+                &*cube,
+                &*capsule,
+                None,
+                None,
+                0.0,
+                &mut manifold,
+            );
+            assert!(found.is_ok());
+            sharpen([&*cube, &*capsule], &Pose::IDENTITY, 0.0, &mut manifold);
+            assert!((manifold.local_n1 - Vector::X).length() < 1e-3, "{}", manifold.local_n1);
+            let deepest = manifold.points.iter().map(|point| point.dist).fold(0.0, f32::min);
+            assert!((deepest + 0.03).abs() < 1e-5, "{step}: {deepest}");
+        }
+    }
+
+    /// An end and the side of a capsule, the corner of a box and the rim of a cylinder are a millimetre deep in an ellipsoid,
+    /// along its normal at a known point.
+    #[test]
+    fn contacts_of_an_ellipsoid_are_along_its_normal_where_another_shape_is_deepest() {
+        let [a, b, c] = ELLIPSOID.map(|half| half * half);
+        for along in [[0.3, 0.5, 0.8], [-0.9, 0.2, 0.1], [0.1, -0.2, -1.0]] {
+            let normal = Vector::from_array(along).normalize();
+            let scaled = Vector::new(a * normal.x, b * normal.y, c * normal.z);
+            let place = scaled / scaled.dot(normal).sqrt();
+            let deepest = place - normal * DEPTH;
+            let axis = normal.any_orthonormal_vector();
+            let centre = deepest + normal * 0.03;
+            let capsule = |from, to| (SharedShape::capsule(from, to, 0.03), Pose::IDENTITY);
+            let tip = |form: Form, corner: [f32; 3], outward: [f32; 3]| {
+                let outward = Vector::from_array(outward).normalize();
+                let turn = Rotation::from_rotation_arc(outward, -normal);
+                let moved = deepest - turn * Vector::from_array(corner);
+                (Convex::shared(&form, &Pose::IDENTITY), Pose::from_parts(moved, turn))
+            };
+            for (shape, pose) in [
+                capsule(centre, centre + (normal + axis) * 0.1),
+                capsule(centre - axis * 0.1, centre + axis * 0.1),
+                tip(Form::Box { half_sizes: [0.05; 3] }, [0.05; 3], [1.0, 0.8, 0.7]),
+                tip(
+                    Form::Cylinder { half_length: 0.06, radius: 0.04 },
+                    [0.04, 0.0, 0.06],
+                    [1.0, 0.0, 0.7],
+                ),
+            ] {
+                let (found, distance, at) = contact(&shape, &pose);
+                let off =
+                    [(found - normal).length(), (distance + DEPTH).abs(), (at - place).length()];
+                assert!(off[0] < 1e-3 && off[1] < 1e-6 && off[2] < 1e-4, "{along:?}: {off:?}");
+            }
+        }
+    }
+}
