@@ -53,10 +53,12 @@ def load(
     means or likeliest choices; with a `seed`, they are sampled, and equal those of a served team with that seed. Raises
     `RunError` if there is no valid checkpoint.
     """
-    which = None if checkpoint is None else str(checkpoint)
-    folder = os.path.abspath(os.path.expanduser(run))
-    again = functools.partial(load, folder, seed, checkpoint=which)
-    return _made(lambda own: Native(os.fspath(run), own, which), seed, again)
+    # A copy may be made in another folder.
+    place, which = _absolute(run), None if checkpoint is None else str(checkpoint)
+    if which and os.sep in which:
+        which = _absolute(which)
+    again = functools.partial(load, place, seed, checkpoint=which)
+    return _made(lambda own: Native(place, own, which), seed, again)
 
 
 def pretrained(task: str, seed: int | None = None) -> Policies:
@@ -66,6 +68,12 @@ def pretrained(task: str, seed: int | None = None) -> Policies:
     """
     name = task_text(task)
     return _made(lambda own: Native.pretrained(name, own), seed, functools.partial(pretrained, name, seed))
+
+
+def _absolute(path: str | os.PathLike[str]) -> str:
+    """The absolute path of a file or folder; any other text as it is, such as the name of a task or an iteration."""
+    place = os.path.expanduser(path)
+    return os.path.abspath(place) if os.path.exists(place) else os.fspath(path)
 
 
 def _made(native: Callable[[int | None], Native], seed: int | None, made: Callable[[], Policies]) -> Policies:

@@ -16,6 +16,8 @@ from s2mia.values import AgentSpec, Numbers, agent_fields, checked_seed, whole
 
 RENDER_MODE = "rgb_array"
 _REWARD = struct.Struct("<f")
+# A setting has 63 bits.
+_LARGEST_SEED = 2**63 - 1
 MOST_ENVIRONMENTS, MOST_THREADS = 65_536, 1024
 
 
@@ -49,8 +51,7 @@ class Simulator:
         num_envs: int = 1,
         threads: int = 1,
     ) -> None:
-        # A setting has 63 bits.
-        own = checked_seed(seed, 2**63 - 1)
+        own = checked_seed(seed, _LARGEST_SEED)
         settings = by_key(settings)
         if own is not None and settings.get("run.seed", own) != own:
             raise ValueError(f"seed is {own} and run.seed is {settings['run.seed']}; give one of them")
@@ -76,7 +77,7 @@ class Simulator:
         if unknown := given.keys() - {"limit", "options"}:
             raise ValueError(f"options has {', '.join(sorted(map(repr, unknown)))}; the option is 'limit'")
         limits = self._limits(given["limit"]) if "limit" in given else []
-        self.native.reset(checked_seed(seed), limits)
+        self.native.reset(checked_seed(seed, _LARGEST_SEED), limits)
 
     def _limits(self, limit: Any) -> list[int]:
         """The limits of all environments, `[E]`, from one number or as many as there are environments."""

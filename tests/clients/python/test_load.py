@@ -250,6 +250,15 @@ def test_a_loaded_team_has_no_connection_and_acts_after_it_is_closed(trained):
     assert (team.act(np.zeros((2, 9))) == acted).all()
 
 
+def test_a_copy_of_a_trained_team_or_of_a_checkpoint_can_be_made_in_another_folder(trained, tmp_path, monkeypatch):
+    monkeypatch.chdir(trained.parent)
+    newest = sorted((trained / "checkpoints").glob("iter_*"))[-1].relative_to(trained.parent)
+    kept = [pickle.dumps(s2mia.load("ant-4x2")), pickle.dumps(s2mia.load(trained.name, checkpoint=newest))]
+    monkeypatch.chdir(tmp_path)
+    for team in map(pickle.loads, kept):
+        assert team.agents
+
+
 @pytest.mark.parametrize("seed", [-1, 2**64, 1.5, True, "1"])
 def test_a_seed_is_a_whole_number(trained, seed):
     with pytest.raises(ValueError, match="^seed is .*; it must be a whole number from 0 to 18446744073709551615$"):

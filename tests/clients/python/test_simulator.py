@@ -266,6 +266,7 @@ def test_a_task_file_is_an_environment():
         (lambda: s2mia.parallel_env("ant-4x2", update__gamma=0.9), "`update.gamma` has no effect on an environment"),
         (lambda: s2mia.parallel_env("ant-4x2", seed=-1), "seed is -1; it must be a whole number from 0 to"),
         (lambda: s2mia.parallel_env("ant-4x2", seed=2**63), "a whole number from 0 to 9223372036854775807"),
+        (lambda: s2mia.parallel_env("ant-4x2").reset(seed=2**63), "a whole number from 0 to 9223372036854775807"),
         (lambda: s2mia.parallel_env("ant-4x2", observation__norm="none"), "`observation.norm` has no effect on an environment"),
         (lambda: s2mia.parallel_env("ant-4x2", disturbances="on"), "disturbances is \"on\"; it is training, evaluation or off"),
         (lambda: s2mia.parallel_env("ant-4x2", render_mode="human"), "render_mode is 'human'"),
