@@ -239,7 +239,13 @@ impl Robot {
         &self.blueprint.bodies
     }
 
-    /// Names of the hinges and slides and their limits (rad or m), if any.
+    /// Limits of the hinges and slides as in `qpos` (rad or m), if any.
+    pub fn stated_limits(&self) -> impl Iterator<Item = Option<[f32; 2]>> {
+        let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
+        hinges.map(|hinge| hinge.range.map(|range| range.map(|end| end + hinge.reference)))
+    }
+
+    /// Names of the hinges and slides and the limits (rad or m) of their angles from the rest pose, if any.
     pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
         let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
         hinges.map(|hinge| (hinge.name.as_str(), hinge.range))

@@ -70,9 +70,10 @@ fn overlaps(world: &World) -> Vec<String> {
     let mut overlaps = world.overlaps();
     overlaps.retain(|_, depth| *depth > SMALLEST_DEPTH);
     let floors = overlaps.iter().filter(|((_, other), _)| other.is_none());
-    let floor = floors.map(|(_, depth)| *depth).reduce(f32::max).map(|depth| {
+    let deepest = floors.max_by(|one, other| one.1.total_cmp(other.1));
+    let floor = deepest.map(|((shape, _), depth)| {
         format!(
-            "the robot starts {depth:.3} m deep in the floor: raise it in [start], by `coordinates` or a `keyframe`"
+            "`{shape}` starts {depth:.3} m deep in the floor: raise it in [start], by `coordinates` or a `keyframe`"
         )
     });
     let inside = overlaps.iter().filter_map(|((shape, other), depth)| {

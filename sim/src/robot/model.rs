@@ -48,6 +48,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let contacts = contacts::read(&root, &context, &bodies, (&links.plans, &grounds));
     context.blockers.finish()?;
     left_out.extend(differences(&context, &motors));
+    left_out.extend(keyframes::left_out(&root));
     let fluid = Some(context.options.fluid).filter(Fluid::acts);
     if fluid.is_some()
         && bodies.iter().flat_map(|body| &body.geoms).any(Geom::is_ellipsoid_in_fluid)

@@ -42,7 +42,7 @@ const GENERAL: [&str; 7] =
 /// Further attributes of `general`.
 const ACTIVATION: [&str; 3] = ["actlimited", "actrange", "actearly"];
 /// Of `intvelocity`.
-const INTEGRATED: [&str; 5] = ["kp", "kv", "dampratio", "actrange", "actlimited"];
+const INTEGRATED: [&str; 6] = ["kp", "kv", "dampratio", "inheritrange", "actrange", "actlimited"];
 const POSITION: [&str; 5] = ["kp", "kv", "dampratio", "timeconst", "inheritrange"];
 
 /// Law of an actuator, as attributes of `general`. `base` is the law of its kind in its class.
@@ -92,6 +92,20 @@ fn velocity(element: &Element, base: &Element) -> Result<Law, String> {
 }
 
 fn position(element: &Element, base: &Element) -> Result<Law, String> {
+    let mut law = spring(element, base)?;
+    let filtered = base.text("dyntype") == Some("filterexact");
+    let filtered = if filtered { parameter(base, "dynprm", 0, 1.0)? } else { 0.0 };
+    let time_constant_secs = element.number("timeconst", filtered)?;
+    if time_constant_secs > 0.0 {
+        law.push(("dyntype", "filterexact".to_owned()));
+        law.push(("dynprm", time_constant_secs.to_string()));
+    }
+    law.extend(inherited(element, base, "ctrlrange")?);
+    Ok(law)
+}
+
+/// A spring between the joint and a target, with its damping.
+fn spring(element: &Element, base: &Element) -> Result<Law, String> {
     let kp = element.number("kp", parameter(base, "gainprm", 0, 1.0)?)?;
     let slope = match (element.numbers("kv")?, element.numbers("dampratio")?) {
         (Some([_]), Some([_])) => {
@@ -106,32 +120,27 @@ fn position(element: &Element, base: &Element) -> Result<Law, String> {
         (None, Some([ratio])) => ratio,
         (None, None) => parameter(base, "biasprm", 2, 0.0)?,
     };
-    let mut law = affine(kp, [0.0, -kp, slope]);
-    let filtered = base.text("dyntype") == Some("filterexact");
-    let filtered = if filtered { parameter(base, "dynprm", 0, 1.0)? } else { 0.0 };
-    let time_constant_secs = element.number("timeconst", filtered)?;
-    if time_constant_secs > 0.0 {
-        law.push(("dyntype", "filterexact".to_owned()));
-        law.push(("dynprm", time_constant_secs.to_string()));
-    }
-    let has_range = element.text("ctrlrange").is_some();
+    Ok(affine(kp, [0.0, -kp, slope]))
+}
+
+/// `inheritrange`, by which the joint's range gives the range `replaced`, unless that is stated.
+fn inherited(element: &Element, base: &Element, replaced: &str) -> Result<Law, String> {
+    let has_range = element.text(replaced).is_some();
     let inherited = if has_range { 0.0 } else { base.number("inheritrange", 0.0)? };
     let inherited = element.number("inheritrange", inherited)?;
     if has_range && inherited > 0.0 {
-        let reason = "`inheritrange` must not be stated with `ctrlrange`; remove one";
+        let reason = format!("`inheritrange` must not be stated with `{replaced}`; remove one");
         return Err(element.refuse_for("inheritrange", reason));
     }
-    if inherited > 0.0 {
-        law.push(("inheritrange", inherited.to_string()));
-    }
-    Ok(law)
+    let law = (inherited > 0.0).then(|| ("inheritrange", inherited.to_string()));
+    Ok(law.into_iter().collect())
 }
 
 /// A servo of the position whose control is the speed of its target.
 fn integrated(element: &Element, base: &Element) -> Result<Law, String> {
-    let mut law = position(element, base)?;
-    law.retain(|(name, _)| ["gainprm", "biastype", "biasprm"].contains(name));
+    let mut law = spring(element, base)?;
     law.push(("dyntype", "integrator".to_owned()));
+    law.extend(inherited(element, base, "actrange")?);
     Ok(law)
 }
 

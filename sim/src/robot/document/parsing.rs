@@ -121,7 +121,16 @@ fn parsed(text: &str) -> Result<Document<'_>, String> {
     let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
     let parsed = Document::parse_with_options(text, options);
     parsed.map_err(|error| match error {
-        Error::DtdDetected => "a DTD is not supported; remove it".to_owned(),
+        Error::DtdDetected => {
+            let before = text.find("<!DOCTYPE").map_or(text, |at| &text[..at]);
+            format!("line {}: a DTD is not supported; remove it", before.matches('\n').count() + 1)
+        }
+        Error::UnexpectedEndOfStream | Error::UnclosedRootNode => {
+            let last = text.matches('\n').count() + 1;
+            format!(
+                "it must be valid XML: it ends in line {last}, before all elements do; add the rest"
+            )
+        }
         error => format!("it must be valid XML: {error}"),
     })
 }

@@ -95,7 +95,7 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
     if law.bias[2] > 0.0 && !has_one_axis {
         return Err(element.refuse("a damping ratio needs one axis of a ball joint; state `kv`"));
     }
-    let activation = activation(element, context)?;
+    let activation = activation(element, &driven, context)?;
     let range = control_range(element, &driven, (&law, activation.as_ref()), context)?;
     Ok(MotorPlan {
         name: String::new(),
@@ -184,6 +184,21 @@ impl Driven {
         };
         Self { name, moved, tendon: None, reference: 0.0, range: None, torque_range: None, gear }
     }
+
+    /// Range of MuJoCo's position.
+    fn stated_range(&self) -> Option<[f64; 2]> {
+        self.range.map(|range| range.map(|end| f64::from(end) + self.reference))
+    }
+
+    /// The part of the position's range that `inheritrange` of an actuator takes, if any.
+    fn inherited_range(&self, element: &Element) -> Result<Option<[f64; 2]>, String> {
+        let inherited = element.number("inheritrange", 0.0)?;
+        let range = self.stated_range().filter(|_| inherited > 0.0);
+        Ok(range.map(|[low, high]| {
+            let (middle, half) = ((low + high) / 2.0, inherited * (high - low) / 2.0);
+            [middle - half, middle + half]
+        }))
+    }
 }
 
 /// Range of the control. A policy needs one, so a range that is not stated follows from those of the joint or the force.
@@ -193,18 +208,14 @@ fn control_range(
     (law, activation): (&Law, Option<&Activation>),
     context: &Context,
 ) -> Result<[f64; 2], String> {
-    let inherited = element.number("inheritrange", 0.0)?;
-    let of_joint = driven.range.map(|range| range.map(|end| f64::from(end) + driven.reference));
-    let stated = context.range(element, ["ctrlrange", "ctrllimited"])?;
-    let range = match (of_joint, stated) {
-        (Some([low, high]), None) if inherited > 0.0 => {
-            let (middle, half) = ((low + high) / 2.0, inherited * (high - low) / 2.0);
-            Some([middle - half, middle + half])
-        }
-        (_, Some(range)) => Some(range),
+    let range = match context.range(element, ["ctrlrange", "ctrllimited"])? {
+        Some(range) => Some(range),
         // The sum of its controls has no such range.
-        _ if activation.is_some_and(|own| own.kind == ActivationKind::Integrator) => None,
-        _ => law.implied_range(driven, of_joint),
+        None if activation.is_some_and(|own| own.kind == ActivationKind::Integrator) => None,
+        None => match driven.inherited_range(element)? {
+            Some(range) => Some(range),
+            None => law.implied_range(driven, driven.stated_range()),
+        },
     };
     match range {
         Some(range) if matches!(range.map(|end| end as f32), [low, high] if low < high) => {
@@ -263,7 +274,11 @@ fn law(element: &Element, context: &Context) -> Result<Law, String> {
 }
 
 /// Reads the activation of an actuator; `None` if its gain multiplies the control.
-fn activation(element: &Element, context: &Context) -> Result<Option<Activation>, String> {
+fn activation(
+    element: &Element,
+    driven: &Driven,
+    context: &Context,
+) -> Result<Option<Activation>, String> {
     let range = context.range(element, ["actrange", "actlimited"])?;
     let kinds = [
         ("none", None),
@@ -287,6 +302,10 @@ fn activation(element: &Element, context: &Context) -> Result<Option<Activation>
             return Err(element.refuse_for("dynprm", reason));
         }
     }
+    let range = match (range, kind) {
+        (None, ActivationKind::Integrator) => driven.inherited_range(element)?,
+        _ => range,
+    };
     let range = range.map(|range| range.map(|end| end as f32));
     let is_early = element.flag("actearly")? == Some(true);
     let time_constant_secs = time_constant_secs as f32;

@@ -15,6 +15,18 @@ pub(super) fn read(root: &Element, blockers: &Blockers) -> Vec<Keyframe> {
     read.into_iter().map(|(_, frame)| frame).collect()
 }
 
+/// Says that poses of mocap bodies have no effect, if a keyframe has any.
+pub(super) fn left_out(root: &Element) -> Option<String> {
+    let keys = root.all("keyframe").flat_map(|section| &section.children);
+    let moves = |key: &&Element| key.text("mpos").or(key.text("mquat")).is_some();
+    let count = keys.filter(moves).count();
+    (count > 0).then(|| {
+        format!(
+            "mocap bodies stay at their `pos` and `quat`: {count} keyframes state `mpos` or `mquat`"
+        )
+    })
+}
+
 fn keyframe(index: usize, key: &Element) -> Result<Keyframe, String> {
     key.only(&[&KNOWN])?;
     let numbers = |name: &str| key.list(name).map(Option::unwrap_or_default);

@@ -134,7 +134,7 @@ fn a_start_that_cannot_be_meant_is_named() {
     assert_eq!(warnings(same, ""), [""; 0]);
     // The foot is a sphere of 0.04 m around z = 1.2 - 0.2 - 0.4 - 0.5 = 0.1 m.
     let deep = warnings(same, "rootz = -0.26");
-    assert!(deep[0].contains("starts 0.200 m deep in the floor"), "{deep:?}");
+    assert!(deep[0].contains("` starts 0.200 m deep in the floor"), "{deep:?}");
     let bent = warnings(same, "knee = 0.25, hip = -0.6");
     let expected = "2 joints start outside the limits, `hip` by 0.100 rad, `knee` by 0.250 rad";
     assert!(bent.len() == 1 && bent[0].starts_with(expected), "{bent:?}");

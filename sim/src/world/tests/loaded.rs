@@ -339,6 +339,20 @@ fn what_differs_of_integrators_servos_and_hulls_is_listed() {
 }
 
 #[test]
+fn keyframes_that_move_mocap_bodies_are_listed() {
+    let bodies = "<body mocap=\"true\"><geom size=\"0.1\"/></body><body><joint name=\"j\"/><geom size=\"0.1\"/></body>";
+    let servo = "<motor joint=\"j\" ctrlrange=\"-1 1\"/>";
+    let left_out = |key: &str| {
+        let keys = format!("</worldbody><keyframe><key qpos=\"0.1\"/><key {key}/></keyframe>");
+        let mjcf = document(bodies, servo).replace("</worldbody>", &keys);
+        robot(&mjcf).unwrap().left_out().join("; ")
+    };
+    assert_eq!(left_out("qpos=\"0\""), "");
+    let moved = "mocap bodies stay at their `pos` and `quat`: 1 keyframes state `mpos` or `mquat`";
+    assert_eq!(left_out("mpos=\"0 0 1\""), moved);
+}
+
+#[test]
 fn a_runge_kutta_step_of_rotations_in_space_is_listed_as_less_accurate() {
     let left_out = |joint: &str, integrator: &str| {
         let body = format!("<body pos=\"0 0 1\">{joint}<geom size=\"0.1\"/></body>");

@@ -163,16 +163,21 @@ fn implicit_integrators_take_the_gyroscopic_forces_of_single_free_bodies_as_mujo
 /// MuJoCo 4.0.0 after a second. The control is the speed of the target, which stays in `actrange`.
 #[test]
 fn an_intvelocity_actuator_follows_its_integrated_control_as_mujocos_does() {
-    let mut world = world_of(
-        "<mujoco><option timestep=\".002\" integrator=\"implicitfast\"/><worldbody><body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\"/>\
-         <geom size=\".05\" pos=\".3 0 0\" mass=\"1\"/></body></worldbody><actuator>\
-         <intvelocity joint=\"j\" kp=\"40\" kv=\"3\" actrange=\"-1 1\" ctrlrange=\"-2 2\"/></actuator></mujoco>",
-    );
-    for _ in 0..500 {
-        assert!(world.step(&[1.2]));
+    for (joint, actuator, expected) in [
+        ("", "actrange=\"-1 1\"", 1.040807),
+        ("range=\"-30 20\"", "inheritrange=\"0.8\"", 0.331372),
+    ] {
+        let mut world = world_of(&format!(
+            "<mujoco><option timestep=\".002\" integrator=\"implicitfast\"/><worldbody><body pos=\"0 0 1\">\
+             <joint name=\"j\" axis=\"0 1 0\" {joint}/><geom size=\".05\" pos=\".3 0 0\" mass=\"1\"/></body></worldbody><actuator>\
+             <intvelocity joint=\"j\" kp=\"40\" kv=\"3\" {actuator} ctrlrange=\"-2 2\"/></actuator></mujoco>"
+        ));
+        for _ in 0..500 {
+            assert!(world.step(&[1.2]));
+        }
+        let at = motion(&world).0[0];
+        assert!((at - expected).abs() < 1e-4, "{actuator}: {at}");
     }
-    let at = motion(&world).0[0];
-    assert!((at - 1.040807).abs() < 1e-4, "{at}");
 }
 
 /// MuJoCo 4.0.0 after 0.1 s and 0.5 s.

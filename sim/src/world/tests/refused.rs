@@ -127,7 +127,8 @@ fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
             )),
             "the copies of `replicate` have more than 4194304 bytes",
         ),
-        (bomb, "a DTD is not supported; remove it"),
+        (bomb, "line 1: a DTD is not supported; remove it"),
+        ("<mujoco>\n<worldbody>\n".to_owned(), "it ends in line 2, before all elements do"),
         (
             include("self.xml"),
             "self.xml line 2, <include file=\"self.xml\">: self.xml includes itself; remove one",
@@ -252,6 +253,10 @@ fn what_mujoco_does_not_compile_is_refused() {
         (
             actuator("<position joint=\"j\" inheritrange=\"1\" ctrlrange=\"-1 1\"/>"),
             "`inheritrange` must not be stated with `ctrlrange`",
+        ),
+        (
+            actuator("<intvelocity joint=\"j\" inheritrange=\"1\" actrange=\"-1 1\"/>"),
+            "`inheritrange` must not be stated with `actrange`",
         ),
         (
             section("<asset><model name=\"m\" file=\"lost.xml\"/></asset>"),
