@@ -133,22 +133,21 @@ impl<'a> Pair<'a> {
     /// normal, or the shapes are farther apart along it than `margin`.
     pub(super) fn is_right(&self, manifold: &ContactManifold<(), ()>, margin: f32) -> bool {
         let normal = manifold.local_n1;
+        let is_large = self.size() >= LARGE * self.parts[0].scale;
         let Some(deepest) = manifold.points.last() else {
-            return normal != Vector::ZERO && self.distance(normal) >= margin;
+            return normal != Vector::ZERO && (is_large || self.distance(normal) >= margin);
         };
         let apart = deepest.dist + self.radii();
         // The engine has no normal where the axis of a capsule just touches a shape.
         if self.radii() > 0.0 && apart.abs() < ROUNDING * self.size() {
             return false;
         }
-        // Deep contacts are rare, and the engine's normal may be that of the far side.
+        // The engine's normal may be that of the far side, which a deep contact shows.
         let beyond = self.distance(self.towards()) - deepest.dist;
-        if deepest.dist < -DEEP * self.size() || beyond > RIGHT * self.size() {
-            return false;
-        }
+        let is_deep = deepest.dist < -DEEP * self.size();
         let line = self.between * deepest.local_p2 - deepest.local_p1 - normal * deepest.dist;
         let error = (self.distance(normal) - deepest.dist).abs().max(line.length());
-        self.size() >= LARGE * self.parts[0].scale || error <= RIGHT * self.size()
+        is_large || (!is_deep && beyond.max(error) <= RIGHT * self.size())
     }
 
     /// Finds the contact of two shapes anew; of round ones the engine's normal is only a guess.
