@@ -240,12 +240,12 @@ impl Robot {
     }
 
     /// Limits of the hinges and slides as in `qpos` (rad or m), if any.
-    pub fn stated_limits(&self) -> impl Iterator<Item = Option<[f32; 2]>> {
+    pub fn limits_in_qpos(&self) -> impl Iterator<Item = Option<[f32; 2]>> {
         let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
         hinges.map(|hinge| hinge.range.map(|range| range.map(|end| end + hinge.reference)))
     }
 
-    /// Names of the hinges and slides and the limits (rad or m) of their angles from the rest pose, if any.
+    /// Names of the hinges and slides and the limits (rad or m) of their positions relative to the rest pose, if any.
     pub fn hinges(&self) -> impl Iterator<Item = (&str, Option<[f32; 2]>)> {
         let hinges = self.blueprint.links.iter().filter_map(LinkPlan::hinge);
         hinges.map(|hinge| (hinge.name.as_str(), hinge.range))

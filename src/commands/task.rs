@@ -208,7 +208,7 @@ fn joints(robot: &Robot) -> String {
         format!("joint {name:<16} {range}, {}", motors_of(robot, name, newtons))
     };
     let names = robot.hinges().map(|(name, _)| name);
-    let joints = names.zip(robot.stated_limits()).zip(robot.hinge_units()).map(line);
+    let joints = names.zip(robot.limits_in_qpos()).zip(robot.hinge_units()).map(line);
     let balls = robot.balls().map(|(name, largest)| {
         let range = largest.map_or("no limits".to_owned(), |most| format!("up to {most} rad"));
         format!("ball  {name:<16} {range}, {}", motors_of(robot, name, "N m"))

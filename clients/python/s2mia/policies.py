@@ -55,7 +55,7 @@ def load(
     """
     # A copy may be made in another folder.
     place, which = _absolute(run), None if checkpoint is None else str(checkpoint)
-    if which and os.sep in which:
+    if which not in (None, "last", "best") and not which.isdigit():
         which = _absolute(which)
     again = functools.partial(load, place, seed, checkpoint=which)
     return _made(lambda own: Native(place, own, which), seed, again)

@@ -78,10 +78,12 @@ pub(super) fn overlay(actuator: &mut Element, top: &Element, law: &Element) {
     if ["position", "intvelocity"].contains(&top.tag.as_str()) {
         actuator.attributes.remove("actearly");
     }
-    let inherits = top.tag == "position" && top.text("inheritrange").is_some();
-    if inherits && law.text("inheritrange").is_some() {
-        actuator.attributes.remove("ctrlrange");
-    }
+    let inherits = top.text("inheritrange").is_some() && law.text("inheritrange").is_some();
+    match top.tag.as_str() {
+        "position" if inherits => actuator.attributes.remove("ctrlrange"),
+        "intvelocity" if inherits => actuator.attributes.remove("actrange"),
+        _ => None,
+    };
 }
 
 type Law = Vec<(&'static str, String)>;
@@ -123,7 +125,8 @@ fn spring(element: &Element, base: &Element) -> Result<Law, String> {
     Ok(affine(kp, [0.0, -kp, slope]))
 }
 
-/// `inheritrange`, by which the joint's range gives the range `replaced`, unless that is stated.
+/// `inheritrange`, by which the joint's or tendon's range gives the range `replaced`. An element that states `replaced` ignores the
+/// `inheritrange` of its class; to state both is an error.
 fn inherited(element: &Element, base: &Element, replaced: &str) -> Result<Law, String> {
     let has_range = element.text(replaced).is_some();
     let inherited = if has_range { 0.0 } else { base.number("inheritrange", 0.0)? };

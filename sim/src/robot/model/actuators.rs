@@ -95,7 +95,7 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
     if law.bias[2] > 0.0 && !has_one_axis {
         return Err(element.refuse("a damping ratio needs one axis of a ball joint; state `kv`"));
     }
-    let activation = activation(element, &driven, context)?;
+    let activation = activation(element, (&driven, &law), context)?;
     let range = control_range(element, &driven, (&law, activation.as_ref()), context)?;
     Ok(MotorPlan {
         name: String::new(),
@@ -191,13 +191,18 @@ impl Driven {
     }
 
     /// The part of the position's range that `inheritrange` of an actuator takes, if any.
-    fn inherited_range(&self, element: &Element) -> Result<Option<[f64; 2]>, String> {
+    fn inherited_range(&self, element: &Element, law: &Law) -> Result<Option<[f64; 2]>, String> {
         let inherited = element.number("inheritrange", 0.0)?;
-        let range = self.stated_range().filter(|_| inherited > 0.0);
-        Ok(range.map(|[low, high]| {
-            let (middle, half) = ((low + high) / 2.0, inherited * (high - low) / 2.0);
-            [middle - half, middle + half]
-        }))
+        // As in MuJoCo, only a servo of the position inherits.
+        if inherited == 0.0 || law.gain != -law.bias[1] {
+            return Ok(None);
+        }
+        let Some([low, high]) = self.stated_range() else {
+            let reason = "its joint or tendon has no range to inherit; set that `range`, or state this actuator's range instead";
+            return Err(element.refuse_for("inheritrange", reason));
+        };
+        let (middle, half) = ((low + high) / 2.0, inherited * (high - low) / 2.0);
+        Ok(Some([middle - half, middle + half]))
     }
 }
 
@@ -208,14 +213,17 @@ fn control_range(
     (law, activation): (&Law, Option<&Activation>),
     context: &Context,
 ) -> Result<[f64; 2], String> {
-    let range = match context.range(element, ["ctrlrange", "ctrllimited"])? {
+    // The sum of an integrator's controls has the range of the joint.
+    let is_summed = activation.is_some_and(|own| own.kind == ActivationKind::Integrator);
+    let inherited = if is_summed { None } else { driven.inherited_range(element, law)? };
+    let stated = match inherited {
         Some(range) => Some(range),
-        // The sum of its controls has no such range.
-        None if activation.is_some_and(|own| own.kind == ActivationKind::Integrator) => None,
-        None => match driven.inherited_range(element)? {
-            Some(range) => Some(range),
-            None => law.implied_range(driven, driven.stated_range()),
-        },
+        None => context.range(element, ["ctrlrange", "ctrllimited"])?,
+    };
+    let range = match stated {
+        Some(range) => Some(range),
+        None if is_summed => None,
+        None => law.implied_range(driven, driven.stated_range()),
     };
     match range {
         Some(range) if matches!(range.map(|end| end as f32), [low, high] if low < high) => {
@@ -276,10 +284,15 @@ fn law(element: &Element, context: &Context) -> Result<Law, String> {
 /// Reads the activation of an actuator; `None` if its gain multiplies the control.
 fn activation(
     element: &Element,
-    driven: &Driven,
+    (driven, law): (&Driven, &Law),
     context: &Context,
 ) -> Result<Option<Activation>, String> {
-    let range = context.range(element, ["actrange", "actlimited"])?;
+    let is_summed = element.text("dyntype") == Some("integrator");
+    let inherited = if is_summed { driven.inherited_range(element, law)? } else { None };
+    let range = match inherited {
+        Some(range) => Some(range),
+        None => context.range(element, ["actrange", "actlimited"])?,
+    };
     let kinds = [
         ("none", None),
         ("integrator", Some(ActivationKind::Integrator)),
@@ -302,10 +315,6 @@ fn activation(
             return Err(element.refuse_for("dynprm", reason));
         }
     }
-    let range = match (range, kind) {
-        (None, ActivationKind::Integrator) => driven.inherited_range(element)?,
-        _ => range,
-    };
     let range = range.map(|range| range.map(|end| end as f32));
     let is_early = element.flag("actearly")? == Some(true);
     let time_constant_secs = time_constant_secs as f32;

@@ -22,7 +22,7 @@ pub(super) fn left_out(root: &Element) -> Option<String> {
     let count = keys.filter(moves).count();
     (count > 0).then(|| {
         format!(
-            "mocap bodies stay at their `pos` and `quat`: {count} keyframes state `mpos` or `mquat`"
+            "`mpos` or `mquat` has no effect, mocap bodies stay where they are: {count} of the keyframes"
         )
     })
 }

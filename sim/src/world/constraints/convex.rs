@@ -58,32 +58,35 @@ mod tests {
         (manifold.local_n1, point.dist, point.local_p1)
     }
 
-    /// The upper edge of a box along x and the lower one of another along y cross 0.02 m deep.
+    /// The upper edge of a box along x and the lower one of another along y cross a tenth of their size deep. Sizes in m.
     #[test]
     fn crossed_edges_touch_in_one_point() {
-        let cube = Convex::shared(&Form::Box { half_sizes: [0.1; 3] }, &Pose::IDENTITY);
-        let turned = |axis: Vector| Rotation::from_axis_angle(axis, std::f32::consts::FRAC_PI_4);
-        let height = 0.1 * std::f32::consts::SQRT_2;
-        let below = Pose::from_parts(Vector::ZERO, turned(Vector::X));
-        let above = Vector::new(0.02, 0.03, 2.0 * height - 0.02);
-        let between = below.inv_mul(&Pose::from_parts(above, turned(Vector::Y)));
-        let mut manifold = ContactManifold::<(), ()>::new();
-        let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
-            &between,
-            &*cube,
-            &*cube,
-            None,
-            None,
-            0.0,
-            &mut manifold,
-        );
-        assert!(found.is_ok() && manifold.points.len() > 1);
-        sharpen([&*cube, &*cube], &between, 0.0, &mut manifold);
-        let [point] = &manifold.points[..] else { panic!("{} points", manifold.points.len()) };
-        assert!((below.rotation * manifold.local_n1 - Vector::Z).length() < 1e-3);
-        let place = below * point.local_p1;
-        assert!((place - Vector::new(0.02, 0.0, height)).length() < 1e-3, "{place}");
-        assert!((point.dist + 0.02).abs() < 1e-5, "{}", point.dist);
+        for size in [0.2, 0.002] {
+            let cube = Convex::shared(&Form::Box { half_sizes: [0.5 * size; 3] }, &Pose::IDENTITY);
+            let turned =
+                |axis: Vector| Rotation::from_axis_angle(axis, std::f32::consts::FRAC_PI_4);
+            let height = 0.5 * size * std::f32::consts::SQRT_2;
+            let below = Pose::from_parts(Vector::ZERO, turned(Vector::X));
+            let above = Vector::new(0.1 * size, 0.15 * size, 2.0 * height - 0.1 * size);
+            let between = below.inv_mul(&Pose::from_parts(above, turned(Vector::Y)));
+            let mut manifold = ContactManifold::<(), ()>::new();
+            let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
+                &between,
+                &*cube,
+                &*cube,
+                None,
+                None,
+                0.0,
+                &mut manifold,
+            );
+            assert!(found.is_ok());
+            sharpen([&*cube, &*cube], &between, 0.0, &mut manifold);
+            let [point] = &manifold.points[..] else { panic!("{} points", manifold.points.len()) };
+            assert!((below.rotation * manifold.local_n1 - Vector::Z).length() < 1e-3);
+            let off = below * point.local_p1 - Vector::new(0.1 * size, 0.0, height);
+            assert!(off.length() < 5e-3 * size, "{size}: {off}");
+            assert!((point.dist / size + 0.1).abs() < 5e-5, "{size}: {}", point.dist);
+        }
     }
 
     #[test]

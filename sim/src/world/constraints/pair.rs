@@ -1,5 +1,6 @@
 //! The contact of two convex shapes. The engine's tolerances are lengths, so that it finds contacts of small shapes roughly or
-//! not at all: where its result is not right, it computes anew with lengths in units of about the size of the smaller shape.
+//! not at all. Where its result is not right, the engine computes the contact again with lengths in units of about the size of the
+//! smaller shape; if that is not right either, a search finds the normal.
 
 use rapier3d::glamx::{DMat2, DVec2};
 use rapier3d::math::{Pose, Vector};
@@ -19,13 +20,13 @@ const STEPS: usize = 90;
 const ROUNDING: f32 = 1e-5;
 /// Error of a distance with which the engine's contact is right, as a fraction of the size of the smaller shape.
 const RIGHT: f32 = 1e-4;
-/// Size from which the engine's contacts are trusted, m, although rounding tilts normals of faces that are nearly parallel.
+/// Size of the smaller shape, m, from which the engine's tolerances are small beside it: its contacts stay as they are.
 const LARGE: f32 = 0.1;
 /// Depth beyond which the engine's contact is not trusted, as a fraction of the size of the smaller shape.
 const DEEP: f32 = 0.2;
 /// Change of a normal that shows the edges of a shape, rad.
 const TILT: f32 = 3e-4;
-/// Shortest edge that another one can cross, as a fraction of its shape's size: longer than where a round shape touches.
+/// Shortest edge that another one can cross, as a fraction of the smaller shape's size: longer than where a round shape touches.
 const EDGE: f32 = 0.03;
 
 /// A convex shape, of a capsule its axis, about a centre and with lengths in a unit of `1 / scale` m.
@@ -91,7 +92,8 @@ impl<'a> Pair<'a> {
     /// a power of two, so that scaling rounds nothing.
     fn in_units(shapes: [&'a dyn Shape; 2], between: &Pose) -> Option<Self> {
         let mut pair = Self::new(shapes, between)?;
-        let scale = libm::scalbnf(1.0, -libm::ilogbf(pair.size()));
+        let size = Some(pair.size()).filter(|size| size.is_normal())?;
+        let scale = libm::scalbnf(1.0, -libm::ilogbf(size));
         for part in &mut pair.parts {
             (part.centre, part.middle) = (part.middle, Vector::ZERO);
             (part.scale, part.radius, part.size) = (scale, part.radius * scale, part.size * scale);
@@ -130,7 +132,7 @@ impl<'a> Pair<'a> {
     }
 
     /// Whether the engine's contact, or that there is none, is right: its deepest points are the ends of the shapes along its
-    /// normal, or the shapes are farther apart along it than `margin`.
+    /// normal, or the shapes are farther apart along it than `margin`. Large shapes have the engine's contact unchecked.
     pub(super) fn is_right(&self, manifold: &ContactManifold<(), ()>, margin: f32) -> bool {
         let normal = manifold.local_n1;
         let is_large = self.size() >= LARGE * self.parts[0].scale;
@@ -142,12 +144,15 @@ impl<'a> Pair<'a> {
         if self.radii() > 0.0 && apart.abs() < ROUNDING * self.size() {
             return false;
         }
+        if is_large {
+            return true;
+        }
         // The engine's normal may be that of the far side, which a deep contact shows.
         let beyond = self.distance(self.towards()) - deepest.dist;
         let is_deep = deepest.dist < -DEEP * self.size();
         let line = self.between * deepest.local_p2 - deepest.local_p1 - normal * deepest.dist;
         let error = (self.distance(normal) - deepest.dist).abs().max(line.length());
-        is_large || (!is_deep && beyond.max(error) <= RIGHT * self.size())
+        !is_deep && beyond.max(error) <= RIGHT * self.size()
     }
 
     /// Finds the contact of two shapes anew; of round ones the engine's normal is only a guess.
@@ -247,7 +252,7 @@ impl<'a> Pair<'a> {
         let [one, other] = self.ends(normal);
         let edges = [0, 1].map(|shape| self.edge(normal, shape));
         let lengths = [edges[0].length(), edges[1].length()];
-        let is_long = |shape: usize| lengths[shape] > EDGE * self.parts[shape].size;
+        let is_long = |shape: usize| lengths[shape] > EDGE * self.size();
         // Of a face only some line is known, which does not count.
         let deepest = if is_long(0) && is_long(1) {
             nearest(&edges[0], &edges[1])[0]

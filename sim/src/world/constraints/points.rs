@@ -36,7 +36,7 @@ pub(super) fn touch(
         return;
     }
     if let Some((inside, sizes)) = convex.and_then(Convex::cylinder) {
-        manifolds.push(cylinder_on_plane(sizes, &(*between * *inside), between, margin));
+        manifolds.extend(cylinder_on_plane(sizes, &(*between * *inside), between, margin));
         return;
     }
     // The engine has no contacts for a plane with another plane, which do not meet.
@@ -66,16 +66,14 @@ fn hull_on_plane(hull: &Convex, between: &Pose, margin: f32) -> ContactManifold<
     manifold
 }
 
-/// The points of a cylinder with the pose `pose` that touch a plane, as in MuJoCo: the lowest one of its rim, that at the other end
-/// of its side, and two on the lower rim at 120 degrees from the first.
+/// The points of a cylinder with the pose `pose` that touch a plane, as in MuJoCo, each on its own: the lowest one of its rim, that at
+/// the other end of its side, and two on the lower rim at 120 degrees from the first.
 fn cylinder_on_plane(
     [half, radius]: [f32; 2],
     pose: &Pose,
     between: &Pose,
     margin: f32,
-) -> ContactManifold<(), ()> {
-    let mut manifold = ContactManifold::new();
-    manifold.local_n1 = Vector::Z;
+) -> impl Iterator<Item = ContactManifold<(), ()>> + use<> {
     let axis = pose.rotation * Vector::Z;
     let axis = if axis.z > 0.0 { -axis } else { axis };
     let down = axis * axis.z - Vector::Z;
@@ -83,16 +81,15 @@ fn cylinder_on_plane(
     let (end, rim) = (axis * half, down * radius);
     let side = rim.cross(axis).normalize_or_zero() * (radius * 0.75_f32.sqrt());
     let offsets = [end + rim, rim - end, end - rim * 0.5 + side, end - rim * 0.5 - side];
+    let places = offsets.map(|offset| pose.translation + offset);
     let back = between.inverse();
-    for (id, offset) in (0..).zip(offsets) {
-        let place = pose.translation + offset;
-        // Without the lowest point none touches.
-        if place.z <= margin {
-            let (id, below) = (PackedFeatureId::vertex(id), Vector::new(place.x, place.y, 0.0));
-            manifold.points.push(TrackedContact::new(below, back * place, id, id, place.z));
-        }
-    }
-    manifold
+    (0..).zip(places).filter(move |(_, place)| place.z <= margin).map(move |(id, place)| {
+        let (id, below) = (PackedFeatureId::vertex(id), Vector::new(place.x, place.y, 0.0));
+        let mut manifold = ContactManifold::new();
+        manifold.local_n1 = Vector::Z;
+        manifold.points.push(TrackedContact::new(below, back * place, id, id, place.z));
+        manifold
+    })
 }
 
 /// Finds the points in which a shape touches a height field: as in MuJoCo, the deepest one in each of its prisms.
@@ -156,41 +153,54 @@ mod tests {
     use super::*;
     use crate::scene::Shape;
 
-    /// Places and depths of a cylinder of radius 0.1 m and length 0.2 m around a point 0.09 m above a plane, tilted around x.
-    fn points(degrees: f32, margin: f32) -> Vec<[f32; 4]> {
-        let form = Shape::Cylinder { half_length: 0.1, radius: 0.1 };
-        let cylinder = Convex::new(&form, &Pose::IDENTITY).unwrap();
+    /// x, y and the distance of the contacts of a cylinder around a point above a plane, tilted around x.
+    fn points(sizes: [f32; 2], height: f32, degrees: f32, margin: f32) -> Vec<[f32; 3]> {
+        let [half_length, radius] = sizes;
+        let form = Shape::Cylinder { half_length, radius };
+        // In the link's frame it is elsewhere and turned.
+        let inside = Pose::from_parts(Vector::new(0.3, -0.2, 0.1), Rotation::from_rotation_y(1.0));
+        let cylinder = Convex::new(&form, &inside).unwrap();
         let turn = Rotation::from_rotation_x(degrees.to_radians());
-        let pose = Pose::from_parts(Vector::new(0.0, 0.0, 0.09), turn);
+        let pose = Pose::from_parts(Vector::new(0.0, 0.0, height), turn);
         let (inside, sizes) = cylinder.cylinder().unwrap();
-        let manifold = cylinder_on_plane(sizes, &(pose * *inside), &pose, margin);
-        let row = |point: &TrackedContact<()>| {
-            let at = pose * point.local_p2;
-            [at.x, at.y, at.z, point.dist]
+        let between = pose * inside.inverse();
+        let manifolds = cylinder_on_plane(sizes, &(between * *inside), &between, margin);
+        let points = manifolds.flat_map(|manifold| manifold.points);
+        let row = |point: TrackedContact<()>| {
+            let at = between * point.local_p2;
+            assert!((at.z - point.dist).abs() < 1e-6, "{at}");
+            [point.local_p1.x, point.local_p1.y, point.dist]
         };
-        manifold.points.iter().map(row).collect()
+        points.map(row).collect()
     }
 
-    /// Of MuJoCo 4.0.0, `pos` and `dist` of contacts.
+    /// Of MuJoCo 4.0.0.
     #[test]
     fn a_cylinder_touches_a_plane_where_mujocos_does() {
-        let upright = vec![
-            [0.1, 0.0, -0.01, -0.01],
-            [-0.05, 0.086603, -0.01, -0.01],
-            [-0.05, -0.086603, -0.01, -0.01],
-        ];
+        let sizes = [0.1, 0.1];
+        let upright = vec![[0.1, 0.0, -0.01], [-0.05, 0.086603, -0.01], [-0.05, -0.086603, -0.01]];
         let tilted = vec![
-            [0.0, -0.092781, -0.016732, -0.016732],
-            [0.086603, 0.056854, -0.006269, -0.006269],
-            [-0.086603, 0.056854, -0.006269, -0.006269],
+            [0.0, -0.092781, -0.016732],
+            [0.086603, 0.056854, -0.006269],
+            [-0.086603, 0.056854, -0.006269],
         ];
-        let lying = vec![[0.0, 0.09824, -0.01173, -0.01173], [0.0, -0.10173, -0.00824, -0.00824]];
-        for (degrees, expected) in [(0.0, upright), (4.0, tilted), (89.0, lying)] {
-            let found = points(degrees, 0.0);
-            assert_eq!(found.len(), expected.len(), "{degrees}");
+        let lying = vec![[0.0, 0.09824, -0.01173], [0.0, -0.10173, -0.00824]];
+        let disc = vec![
+            [0.1, 0.0, -0.001],
+            [0.1, 0.0, 0.009],
+            [-0.05, 0.086603, -0.001],
+            [-0.05, -0.086603, -0.001],
+        ];
+        for (found, expected) in [
+            (points(sizes, 0.09, 0.0, 0.0), upright),
+            (points(sizes, 0.09, 4.0, 0.0), tilted),
+            (points(sizes, 0.09, 89.0, 0.0), lying),
+            (points([0.005, 0.1], 0.004, 0.0, 0.02), disc),
+        ] {
+            assert_eq!(found.len(), expected.len(), "{found:?}");
             let off = found.as_flattened().iter().zip(expected.as_flattened());
             let off = off.map(|(one, other)| (one - other).abs()).fold(0.0, f32::max);
-            assert!(off < 6e-6, "{degrees}: {found:?}");
+            assert!(off < 6e-6, "{found:?}");
         }
     }
 }

@@ -339,6 +339,14 @@ fn what_differs_of_integrators_servos_and_hulls_is_listed() {
 }
 
 #[test]
+fn limits_in_qpos_are_those_of_the_document() {
+    let body = "<body><joint name=\"j\" ref=\"0.5\" range=\"-1 1.5\"/><geom size=\"0.1\"/></body>";
+    let robot = robot(&document(body, "<motor joint=\"j\" ctrlrange=\"-1 1\"/>")).unwrap();
+    assert_eq!(robot.limits_in_qpos().collect::<Vec<_>>(), [Some([-1.0, 1.5])]);
+    assert_eq!(robot.hinges().next(), Some(("j", Some([-1.5, 1.0]))));
+}
+
+#[test]
 fn keyframes_that_move_mocap_bodies_are_listed() {
     let bodies = "<body mocap=\"true\"><geom size=\"0.1\"/></body><body><joint name=\"j\"/><geom size=\"0.1\"/></body>";
     let servo = "<motor joint=\"j\" ctrlrange=\"-1 1\"/>";
@@ -348,7 +356,8 @@ fn keyframes_that_move_mocap_bodies_are_listed() {
         robot(&mjcf).unwrap().left_out().join("; ")
     };
     assert_eq!(left_out("qpos=\"0\""), "");
-    let moved = "mocap bodies stay at their `pos` and `quat`: 1 keyframes state `mpos` or `mquat`";
+    let moved =
+        "`mpos` or `mquat` has no effect, mocap bodies stay where they are: 1 of the keyframes";
     assert_eq!(left_out("mpos=\"0 0 1\""), moved);
 }
 

@@ -163,12 +163,14 @@ fn implicit_integrators_take_the_gyroscopic_forces_of_single_free_bodies_as_mujo
 /// MuJoCo 4.0.0 after a second. The control is the speed of the target, which stays in `actrange`.
 #[test]
 fn an_intvelocity_actuator_follows_its_integrated_control_as_mujocos_does() {
-    for (joint, actuator, expected) in [
-        ("", "actrange=\"-1 1\"", 1.040807),
-        ("range=\"-30 20\"", "inheritrange=\"0.8\"", 0.331372),
+    for (joint, class, actuator, expected) in [
+        ("", "", "actrange=\"-1 1\"", 1.040807),
+        ("range=\"-30 20\"", "", "inheritrange=\"0.8\" actlimited=\"true\"", 0.331372),
+        ("range=\"-30 20\"", "actrange=\"-1 1\"", "inheritrange=\"0.8\"", 0.331372),
     ] {
         let mut world = world_of(&format!(
-            "<mujoco><option timestep=\".002\" integrator=\"implicitfast\"/><worldbody><body pos=\"0 0 1\">\
+            "<mujoco><default><intvelocity {class}/></default>\
+             <option timestep=\".002\" integrator=\"implicitfast\"/><worldbody><body pos=\"0 0 1\">\
              <joint name=\"j\" axis=\"0 1 0\" {joint}/><geom size=\".05\" pos=\".3 0 0\" mass=\"1\"/></body></worldbody><actuator>\
              <intvelocity joint=\"j\" kp=\"40\" kv=\"3\" {actuator} ctrlrange=\"-2 2\"/></actuator></mujoco>"
         ));

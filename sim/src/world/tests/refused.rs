@@ -259,6 +259,10 @@ fn what_mujoco_does_not_compile_is_refused() {
             "`inheritrange` must not be stated with `actrange`",
         ),
         (
+            actuator("<intvelocity joint=\"j\" inheritrange=\"1\" ctrlrange=\"-1 1\"/>"),
+            "its joint or tendon has no range to inherit",
+        ),
+        (
             section("<asset><model name=\"m\" file=\"lost.xml\"/></asset>"),
             "lost.xml does not exist",
         ),

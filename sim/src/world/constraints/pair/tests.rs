@@ -111,6 +111,7 @@ fn shapes_of_all_sizes_touch_where_they_are_deepest() {
         ([0.3, 0.01], 0.01),
         ([1.0, 0.01], -0.1),
         ([0.1, 0.1], -0.02),
+        // Large shapes: the engine's own contacts.
         ([10.0, 10.0], -0.02),
     ] {
         let [ones, others] = scales.map(shapes);
@@ -129,8 +130,14 @@ fn shapes_of_all_sizes_touch_where_they_are_deepest() {
                 let Some(point) = manifold.points.last() else { panic!("{case}: no contact") };
                 let off = (point.dist - expected).abs();
                 assert!(off < 2e-3 * size, "{case}: {} m", point.dist);
-                let ends = Pair::new(both, &between).unwrap().distance(manifold.local_n1);
+                let pair = Pair::new(both, &between).unwrap();
+                let ends = pair.distance(manifold.local_n1);
                 assert!((ends - expected).abs() < 2e-3 * size, "{case}: {ends} m along it");
+                let along = manifold.local_n1;
+                let end = pair.ends(along)[0].dot(along) + pair.parts[0].radius;
+                assert!((point.local_p1.dot(along) - end).abs() < 2e-3 * size, "{case}");
+                let line = between * point.local_p2 - point.local_p1 - along * point.dist;
+                assert!(line.length() < 2e-3 * size, "{case}: {line}");
             }
         }
     }
