@@ -190,6 +190,18 @@ impl Driven {
         self.range.map(|range| range.map(|end| f64::from(end) + self.reference))
     }
 
+    /// The range that an actuator states by these attributes, unless it `inherits` that of the position.
+    fn range_of(
+        &self,
+        element: &Element,
+        names: [&str; 2],
+        (law, inherits): (&Law, bool),
+        context: &Context,
+    ) -> Result<Option<[f64; 2]>, String> {
+        let inherited = if inherits { self.inherited_range(element, law)? } else { None };
+        inherited.map_or_else(|| context.range(element, names), |range| Ok(Some(range)))
+    }
+
     /// The part of the position's range that `inheritrange` of an actuator takes, if any.
     fn inherited_range(&self, element: &Element, law: &Law) -> Result<Option<[f64; 2]>, String> {
         let inherited = element.number("inheritrange", 0.0)?;
@@ -215,12 +227,8 @@ fn control_range(
 ) -> Result<[f64; 2], String> {
     // The sum of an integrator's controls has the range of the joint.
     let is_summed = activation.is_some_and(|own| own.kind == ActivationKind::Integrator);
-    let inherited = if is_summed { None } else { driven.inherited_range(element, law)? };
-    let stated = match inherited {
-        Some(range) => Some(range),
-        None => context.range(element, ["ctrlrange", "ctrllimited"])?,
-    };
-    let range = match stated {
+    let names = ["ctrlrange", "ctrllimited"];
+    let range = match driven.range_of(element, names, (law, !is_summed), context)? {
         Some(range) => Some(range),
         None if is_summed => None,
         None => law.implied_range(driven, driven.stated_range()),
@@ -288,11 +296,7 @@ fn activation(
     context: &Context,
 ) -> Result<Option<Activation>, String> {
     let is_summed = element.text("dyntype") == Some("integrator");
-    let inherited = if is_summed { driven.inherited_range(element, law)? } else { None };
-    let range = match inherited {
-        Some(range) => Some(range),
-        None => context.range(element, ["actrange", "actlimited"])?,
-    };
+    let range = driven.range_of(element, ["actrange", "actlimited"], (law, is_summed), context)?;
     let kinds = [
         ("none", None),
         ("integrator", Some(ActivationKind::Integrator)),
