@@ -76,8 +76,12 @@ pub enum RunFolderError {
 impl RunFolderError {
     fn in_use(path: &Path) -> Self {
         let process = plain_file::read_to_string(&path.join(LOCK)).unwrap_or_default();
-        let (path, process) = (path.display(), process.trim());
-        Self::Other(format!("{path} is in use by another learner (process {process})"))
+        // Without the lock file, the folder's own lock tells that it is in use, but not by whom.
+        let process = match process.trim() {
+            "" => String::new(),
+            process => format!(" (process {process})"),
+        };
+        Self::Other(format!("{} is in use by another learner{process}", path.display()))
     }
 }
 

@@ -58,7 +58,7 @@ impl<'a> Folder<'a> {
         if self.total.elements <= MOST_ELEMENTS {
             Ok(())
         } else {
-            Err(format!("the model has more than {MOST_ELEMENTS} elements"))
+            Err(format!("the model has more than {MOST_ELEMENTS} elements; remove some"))
         }
     }
 
@@ -69,7 +69,9 @@ impl<'a> Folder<'a> {
         if self.total.copied <= LARGEST_DOCUMENT {
             Ok(())
         } else {
-            Err(format!("the copies of `replicate` have more than {LARGEST_DOCUMENT} bytes"))
+            Err(format!(
+                "the copies of `replicate` have more than {LARGEST_DOCUMENT} bytes; make fewer"
+            ))
         }
     }
 

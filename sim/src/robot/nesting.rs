@@ -4,10 +4,10 @@
 /// Starts and ends of what is between tags and is no tag.
 const SKIPPED: [(&str, &str); 3] = [("!--", "-->"), ("![CDATA[", "]]>"), ("?", "?>")];
 
-/// How many elements are inside each other, at most. In a text with an error, this is at least the depth that the parser
-/// reaches before the error.
-pub(super) fn deepest(text: &str) -> usize {
-    let (mut depth, mut deepest, mut rest) = (0_usize, 0, text);
+/// Byte of the first element that is inside so many others that they are more than `limit` with it. In a text with an error, the
+/// depth found is at least the one that the parser reaches before the error.
+pub(super) fn first_deeper(text: &str, limit: usize) -> Option<usize> {
+    let (mut depth, mut rest) = (0_usize, text);
     while let Some((_, markup)) = rest.split_once('<') {
         let skipped = SKIPPED.iter().find_map(|(start, end)| {
             Some(markup.strip_prefix(start)?.split_once(end).map_or("", |(_, after)| after))
@@ -21,10 +21,12 @@ pub(super) fn deepest(text: &str) -> usize {
             depth = depth.saturating_sub(1);
         } else if !tag.ends_with('/') {
             depth += 1;
-            deepest = deepest.max(depth);
+            if depth > limit {
+                return Some(text.len() - markup.len() - 1);
+            }
         }
     }
-    deepest
+    None
 }
 
 /// Bytes of a tag up to its `>`, which the value of an attribute may contain too.
@@ -47,7 +49,10 @@ mod tests {
 
     #[test]
     fn only_open_elements_count() {
+        let deepest =
+            |text: &str| (0..).find(|limit| first_deeper(text, *limit).is_none()).unwrap();
         let depth = |inside: &str| deepest(&format!("<a>{inside}</a>"));
+        assert_eq!(first_deeper("<a>\n<b/><b><c>", 2), Some(11));
         assert_eq!(depth("<b/><b></b><b x='/'/>"), 2);
         assert_eq!(depth("<b x=\"/>\"><b x='\"/>'><b x='/>' ></b></b></b>"), 4);
         for hidden in

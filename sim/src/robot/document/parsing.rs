@@ -6,7 +6,7 @@ use std::rc::Rc;
 use roxmltree::{Document, Error, Node, ParsingOptions};
 
 use super::super::folder::Folder;
-use super::super::nesting::deepest;
+use super::super::nesting::first_deeper;
 use super::{Element, Place, start};
 
 /// Most elements inside each other, those of included files counted where they are included.
@@ -61,10 +61,6 @@ fn read(
     folder: &mut Folder<'_>,
     depth: usize,
 ) -> Result<Element, String> {
-    if depth > DEEPEST_ELEMENT {
-        return Err(too_deep());
-    }
-    folder.count_element()?;
     let mut element = Element {
         tag: node.tag_name().name().to_owned(),
         place: Some(Place { file: source.file.clone(), line: source.line(node.range().start) }),
@@ -76,6 +72,10 @@ fn read(
             .collect(),
         children: Vec::new(),
     };
+    if depth > DEEPEST_ELEMENT {
+        return Err(element.refuse(too_deep()));
+    }
+    folder.count_element().map_err(|reason| element.refuse(reason))?;
     check_plain(node, &element)?;
     for child in node.children().filter(Node::is_element) {
         let child_element = read(child, source, folder, depth + 1)?;
@@ -108,8 +108,8 @@ fn check_plain(node: Node<'_, '_>, element: &Element) -> Result<(), String> {
 
 /// Parses XML that is not nested so deeply that the parser's stack would overflow.
 fn parsed(text: &str) -> Result<Document<'_>, String> {
-    if deepest(text) > DEEPEST_ELEMENT {
-        return Err(too_deep());
+    if let Some(at) = first_deeper(text, DEEPEST_ELEMENT) {
+        return Err(format!("line {}: {}", text[..at].matches('\n').count() + 1, too_deep()));
     }
     // MuJoCo's parser ignores what follows the root, such as a second end in Unitree's files.
     let mut text = text.trim_end();
@@ -136,7 +136,7 @@ fn parsed(text: &str) -> Result<Document<'_>, String> {
 }
 
 fn too_deep() -> String {
-    format!("elements are nested more than {DEEPEST_ELEMENT} deep")
+    format!("elements are nested more than {DEEPEST_ELEMENT} deep; nest fewer")
 }
 
 /// Children of the root of a file that an element of `source` includes, in the place of this root.

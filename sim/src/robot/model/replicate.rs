@@ -47,10 +47,12 @@ fn copies(
     let mut frame = IDENTITY;
     let mut copies = Vec::new();
     for index in 0..count {
-        folder.count_element()?;
+        folder.count_element().map_err(|reason| replicate.refuse(reason))?;
         let mut copy = placed(replicate, &frame);
+        let end = format!("{separator}{index:0digits$}");
         for child in &replicate.children {
-            copy.children.push(renamed(child, &format!("{separator}{index:0digits$}"), folder)?);
+            let child = renamed(child, &end, folder).map_err(|reason| replicate.refuse(reason))?;
+            copy.children.push(child);
         }
         copies.push(copy);
         frame = frame.then(&step);

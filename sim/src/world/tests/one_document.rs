@@ -234,8 +234,8 @@ fn elements_of_included_files_count_where_they_are_included() {
         _ => Ok(nested("").into_bytes()),
     };
     for (document, expected) in [
-        ("a.xml", "elements are nested more than 200 deep"),
-        ("wide.xml", "more than 20000 elements"),
+        ("a.xml", "b.xml line 1, <body>: elements are nested more than 200 deep; nest fewer"),
+        ("wide.xml", "c.xml line 1, <body>: the model has more than 20000 elements; remove some"),
         ("large.xml", "large.xml has 5242880 bytes, at most 4194304"),
     ] {
         let error = one_document(document, read).unwrap_err().to_string();

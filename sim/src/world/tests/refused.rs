@@ -95,7 +95,10 @@ fn a_model_that_is_nested_too_deeply_is_refused_before_the_stack_overflows() {
     ];
     for start in starts {
         let nested = format!("{}{}", start.repeat(10_000), "</body>".repeat(10_000));
-        assert_refused(&[(section(&nested), "nested more than 200 deep")]);
+        assert_refused(&[(
+            section(&nested),
+            "line 5: elements are nested more than 200 deep; nest fewer",
+        )]);
     }
 }
 
@@ -125,7 +128,7 @@ fn bombs_cycles_and_links_out_of_the_folder_are_refused_before_they_grow() {
                 "<replicate count=\"1000\"><geom size=\"1\" user=\"{}\"/></replicate>",
                 "0 ".repeat(500_000)
             )),
-            "the copies of `replicate` have more than 4194304 bytes",
+            "<replicate>: the copies of `replicate` have more than 4194304 bytes; make fewer",
         ),
         (bomb, "line 1: a DTD is not supported; remove it"),
         ("<mujoco>\n<worldbody>\n".to_owned(), "it ends in line 2, before all elements do"),
