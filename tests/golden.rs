@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and other settings of it.
-const CASES: [[&str; 3]; 16] = [
+const CASES: [[&str; 3]; 18] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -32,6 +32,9 @@ const CASES: [[&str; 3]; 16] = [
         "hasac",
         "mlp policy.noise=shared policy.noise_loading=0.7 policy.noise_decay_steps=400",
     ],
+    // Links that touch objects, and servos, commands and pushes.
+    ["carry-light-2x2", "happo-s2mia", "mlp"],
+    ["quadruped-4x3", "happo-s2mia", "mlp"],
 ];
 
 /// Cases that are repeated with each SIMD width: both cores, both rules with a replay, and a recurrent critic.
