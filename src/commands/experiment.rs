@@ -9,7 +9,7 @@ use tokio::sync::watch;
 
 use crate::errors::Usage;
 use crate::experiment::file::ExperimentFile;
-use crate::experiment::record::Record;
+use crate::experiment::record::{self, Record};
 use crate::experiment::run_state::{is_finished, listing, mismatch};
 use crate::experiment::scheduler::{ExperimentProgress, Tally};
 use crate::experiment::submit::{self, Jobs, SlurmOptions};
@@ -145,6 +145,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let selected = arguments.selection().of(&runs)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let at_once = arguments.jobs.map_or_else(|| file.runs_at_once(cores), usize::from);
+    run_state::demand_own_record(&file, &runs)?;
     if let Some(engine) = arguments.submit {
         return submit(&file, &runs, engine, arguments);
     }
@@ -160,6 +161,9 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     }
     record.demand_new(&file.record, &selected)?;
     run_state::make_folder(&file, &runs, others(arguments))?;
+    if !file.record.as_os_str().is_empty() {
+        record::place(&file.record)?.demand_writable()?;
+    }
     let (recorded, missing): (Vec<_>, Vec<_>) =
         selected.iter().cloned().partition(|run| record.holds(run));
     // Lives until the report is written, so that a second signal ends the process then, too.
@@ -230,7 +234,7 @@ fn demand_any(file: &ExperimentFile, runs: &[PlannedRun], record: &Record) -> Re
     let left_out: Vec<String> = runs.iter().filter(begun).filter_map(mismatch).collect();
     let reported = runs.iter().filter(|run| record.holds(run) || begun(run)).count();
     match (reported - left_out.len(), left_out.first()) {
-        (0, None) => {}
+        (0, None) => record.demand_new(&file.record, runs)?,
         (0, Some(why)) => return Err(Usage::new(why)),
         _ => {
             left_out.iter().for_each(output::line);
@@ -253,11 +257,20 @@ fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> Strin
     )
 }
 
+/// Writes and prints the report. Runs that it leaves out because their folders are damaged are named, the first in the error.
 fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
-    let (table, written) = report::write(file, runs)?;
-    output::line(table);
-    written.iter().for_each(|path| output::line(path.display()));
-    Ok(())
+    let report = report::write(file, runs)?;
+    output::line(report.table);
+    report.written.iter().for_each(|path| output::line(path.display()));
+    let Some((first, others)) = report.damaged.split_first() else { return Ok(()) };
+    others.iter().for_each(|why| tracing::warn!("{why}"));
+    anyhow::bail!(
+        "{first}: the report leaves this run out{}; restore the file, or delete the run's folder to repeat it",
+        match others.len() {
+            0 => String::new(),
+            others => format!(" ({others} other runs, too)"),
+        }
+    )
 }
 
 fn finish(

@@ -142,12 +142,18 @@ impl ExperimentFile {
         if !self.record.as_os_str().is_empty() {
             self.record = found(&self.record)?;
         }
+        let found_task = |task: &str| match OwnTask::is_path(task) {
+            true => found(Path::new(task)).map(|path| path.to_string_lossy().into_owned()),
+            false => Ok(task.to_owned()),
+        };
         let of_variants = self.variants.iter_mut().filter_map(|variant| variant.tasks.as_mut());
         for task in of_variants.chain([&mut self.tasks]).flatten() {
-            if OwnTask::is_path(task) {
-                *task = found(Path::new(task))?.to_string_lossy().into_owned();
-            }
+            *task = found_task(task)?;
         }
+        let environments = std::mem::take(&mut self.environments).into_iter();
+        self.environments = environments
+            .map(|(task, url)| Ok((found_task(&task)?, url)))
+            .collect::<Result<_, String>>()?;
         let of_variants = self.variants.iter_mut().filter_map(|variant| variant.settings.as_mut());
         for settings in of_variants.chain(self.settings.as_mut()) {
             let policy = settings.get_mut("policy").and_then(Value::as_table_mut);

@@ -8,9 +8,8 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
 use learner::store::plain_file;
-use learner::store::run_folder::{PROVENANCE, RunFolder};
+use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder};
 use policy::arrays::hex;
-use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
 use super::run_state::{last_lines, mismatch};
@@ -20,6 +19,7 @@ use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::figures::learning_curve::{Curve, Quantity};
+use crate::process::target::{self, Target};
 use crate::run::stored::config_of_run;
 
 const HEADER: &str =
@@ -74,12 +74,13 @@ impl Record {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Self::default()),
             text => text.with_context(|| format!("cannot read {}", path.display()))?,
         };
-        let mut lines = text.lines().zip(1..);
+        // Spreadsheets begin a file with a byte order mark.
+        let mut lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
         if lines.next().is_none_or(|(first, _)| first != HEADER) {
             bail!("{} must begin with the line {HEADER}", path.display());
         }
         let mut record = Self::default();
-        for (line, number) in lines {
+        for (line, number) in lines.filter(|(line, _)| !line.is_empty()) {
             let taken = record.take(line);
             taken.with_context(|| format!("{}, line {number}, `{line}`", path.display()))?;
         }
@@ -123,11 +124,10 @@ impl Record {
         Ok(())
     }
 
-    /// Whether the record contains the planned run with the same settings and length.
+    /// Whether the record contains the planned run with the same settings and all its evaluations.
     pub(crate) fn holds(&self, run: &PlannedRun) -> bool {
         self.0.get(&name(run)).is_some_and(|known| {
-            let last = known.evaluations.last().map(|last| last.env_steps);
-            last == Some(run.config.env_steps())
+            lost(&known.evaluations, &run.config).is_none()
                 && settings_sha256(&run.config) == known.origin.settings_sha256
         })
     }
@@ -136,11 +136,21 @@ impl Record {
     /// same settings.
     pub(crate) fn conflict(&self, run: &PlannedRun) -> Option<String> {
         let known = self.0.get(&name(run)).filter(|_| !self.holds(run))?;
-        let recorded = known.evaluations.last().map_or(0, |last| last.env_steps);
-        let has = if !is_continued(known, run, recorded) {
+        let (recorded, planned) = (known.env_steps(), run.config.env_steps());
+        let damaged = |what: &str| {
+            Some(format!(
+                "the record of {} has no {what}; delete its lines, and the run is recorded again from its folder, or repeated",
+                run.name()
+            ))
+        };
+        let has = if known.origin.settings_sha256.is_empty() {
+            return damaged("last line, which has the hashes of a run");
+        } else if !is_continued(known, run, recorded) {
             "with other settings".to_owned()
-        } else if recorded > run.config.env_steps() {
+        } else if recorded > planned {
             format!("with {} steps, more than are planned", thousands(recorded))
+        } else if recorded == planned {
+            return damaged(&lost(&known.evaluations, &run.config)?);
         } else {
             return None;
         };
@@ -171,17 +181,21 @@ impl Record {
     /// Adds a finished run from its folder, with its curve.
     ///
     /// # Errors
-    /// Names the file of the folder that cannot be read.
+    /// Names the file of the folder that cannot be read or is not whole.
     pub(crate) fn add(&mut self, run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
         let evaluations = evaluations(curve);
         let manifest = RunFolder::recorded(&run.folder)
             .with_context(|| format!("{} has no whole manifest", run.folder.display()))?;
-        let last = last_lines(&run.folder.join(PROVENANCE)).pop().unwrap_or_default();
-        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        let provenance = run.folder.join(PROVENANCE);
+        let last = last_lines(&provenance).pop().unwrap_or_default();
+        let weights_sha256 = last["weights_sha256"].as_str();
+        let weights_sha256 = weights_sha256
+            .filter(|_| last["iteration"] == run.config.iterations())
+            .with_context(|| format!("{} lacks its last line", provenance.display()))?;
         let origin = Origin {
             settings_sha256: settings_sha256(&run.config),
-            weights_sha256: text(&last["weights_sha256"]),
-            commit: text(&manifest["git_commit"]),
+            weights_sha256: weights_sha256.to_owned(),
+            commit: manifest["git_commit"].as_str().unwrap_or_default().to_owned(),
         };
         self.0.insert(name(run), RecordedRun { evaluations, origin });
         Ok(())
@@ -192,10 +206,7 @@ impl Record {
     /// # Errors
     /// Names the file if it cannot be written.
     pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
-        if let Some(folder) = path.parent() {
-            learner::store::durable::make_folder(folder)?;
-        }
-        Ok(learner::store::durable::replace(path, self.text().as_bytes())?)
+        place(path)?.write(self.text().as_bytes())
     }
 
     fn text(&self) -> String {
@@ -218,6 +229,52 @@ impl Record {
             }
         }
         text
+    }
+}
+
+impl RecordedRun {
+    fn env_steps(&self) -> u64 {
+        self.evaluations.last().map_or(0, |last| last.env_steps)
+    }
+}
+
+/// The place of a record, in a folder that is made if necessary. A link is followed.
+///
+/// # Errors
+/// The folder cannot be made, or something other than a plain file is there.
+pub(crate) fn place(path: &Path) -> anyhow::Result<Target> {
+    path.parent().map_or(Ok(()), target::folder)?;
+    Target::fixed(&path.canonicalize().unwrap_or_else(|_| path.to_owned()))
+}
+
+/// Refuses the curve of a finished run that lacks an evaluation.
+///
+/// # Errors
+/// Names the run's metrics and the evaluation.
+pub(crate) fn demand_whole(run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
+    match lost(&evaluations(curve), &run.config) {
+        None => Ok(()),
+        Some(what) => bail!("{} has no {what}", run.folder.join(METRICS).display()),
+    }
+}
+
+/// The first evaluation that a run of these settings should have and that is not among these; `None` if all are. One is at the
+/// start, one at the end, and one after the iteration that passes the end of an interval. Before the run became longer, the
+/// interval may have been shorter.
+fn lost(evaluations: &[Evaluation], config: &RunConfig) -> Option<String> {
+    let learner = &config.learner;
+    let most = learner.evaluation.every_steps + learner.environments.steps_per_iteration();
+    let mut before = None;
+    for Evaluation { env_steps, .. } in evaluations {
+        if before.map_or(*env_steps > 0, |before| env_steps - before >= most) {
+            break;
+        }
+        before = Some(*env_steps);
+    }
+    match before {
+        Some(last) if last == config.env_steps() => None,
+        Some(last) => Some(format!("evaluation soon after {} steps", thousands(last))),
+        None => Some("evaluation at 0 steps".to_owned()),
     }
 }
 

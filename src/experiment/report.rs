@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::PlannedRun;
 use super::comparison::{Comparison, Measure, comparisons};
 use super::file::ExperimentFile;
-use super::record::{Record, at_evaluations};
+use super::record::{Record, at_evaluations, demand_whole};
 use super::results::{Estimate, Measured, ResultRow, rows};
 use super::run_state::{RunFolderState, mismatch, run_state};
 use crate::figures::learning_curve::{self, Curve, Quantity};
@@ -23,13 +23,30 @@ pub(crate) fn is_part(name: &str) -> bool {
     name == TABLE || figures.any(is_figure)
 }
 
-/// Writes `results.md` if a run is finished, and the figures of the runs that exist. Returns the table and the paths.
-pub(crate) fn write(
-    file: &ExperimentFile,
-    runs: &[PlannedRun],
-) -> anyhow::Result<(String, Vec<PathBuf>)> {
+/// What a report has written, and what it leaves out.
+pub(crate) struct Report {
+    /// The table, as Markdown.
+    pub(crate) table: String,
+    /// The files.
+    pub(crate) written: Vec<PathBuf>,
+    /// Why a run is left out, for each run whose folder is damaged.
+    pub(crate) damaged: Vec<String>,
+}
+
+/// The curves of started runs.
+#[derive(Default)]
+struct Started {
+    /// Labelled with their variants.
+    curves: Vec<Curve>,
+    /// Indices of the finished ones.
+    finished: Vec<usize>,
+    damaged: Vec<String>,
+}
+
+/// Writes `results.md` if a run is finished, and the figures of the runs that exist.
+pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Report> {
     target::folder(&file.folder)?;
-    let (mut curves, finished) = curves(file, runs)?;
+    let Started { mut curves, finished, damaged } = started(file, runs)?;
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
     let rows = rows(&measured, &variants, &file.baseline, file.threshold);
@@ -51,45 +68,52 @@ pub(crate) fn write(
         written.extend(figures::write_learning_curve(&file.folder, &curves)?);
         written.extend(figures::write_ablation(&file.folder, &curves)?);
     }
-    Ok((table, written))
+    Ok(Report { table, written, damaged })
 }
 
-/// The curves of all started runs, labelled with their variants, and the indices of the finished ones. Only finished
-/// runs are compared and added to the experiment's record.
-fn curves(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<(Vec<Curve>, Vec<usize>)> {
+/// The curves of all started runs. Only finished runs are compared and added to the experiment's record.
+fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started> {
     let recorded = Record::read(&file.record)?;
     let mut record = recorded.clone();
     let kept = !file.record.as_os_str().is_empty();
-    let (mut curves, mut finished) = (Vec::new(), Vec::new());
+    let mut started = Started::default();
     for run in runs {
+        let conflict = recorded.conflict(run);
+        if let Some(why) = &conflict {
+            tracing::warn!("{}: {why}", file.record.display());
+        }
+        let may_add = kept && conflict.is_none();
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
-            None if is_there(run) => {
-                let curve = of_folder(run)?;
-                let done = run_state(run) == RunFolderState::Finished;
-                if kept && done {
-                    match recorded.conflict(run) {
-                        None => record.add(run, &curve)?,
-                        Some(why) => tracing::warn!("{}: {why}", file.record.display()),
-                    }
+            None if !is_there(run) => continue,
+            None => match of_folder(run, may_add.then_some(&mut record)) {
+                Ok((curve, done)) if kept => (at_evaluations(curve), done),
+                Ok(own) => own,
+                Err(why) => {
+                    started.damaged.push(actor::causes(why.as_ref()));
+                    continue;
                 }
-                (if kept { at_evaluations(curve) } else { curve }, done)
-            }
-            None => continue,
+            },
         };
-        finished.extend(done.then_some(curves.len()));
-        curves.push(curve);
+        started.finished.extend(done.then_some(started.curves.len()));
+        started.curves.push(curve);
     }
     if record != recorded {
         record.write(&file.record)?;
     }
-    Ok((curves, finished))
+    Ok(started)
 }
 
-fn of_folder(run: &PlannedRun) -> anyhow::Result<Curve> {
-    let algorithm = run.variant.clone();
-    let settings = BTreeMap::new();
-    Ok(Curve { algorithm, settings, ..learning_curve::read(&run.folder)? })
+/// The curve of a run from its folder, and whether the run is finished, in which case it is added to `record`.
+fn of_folder(run: &PlannedRun, record: Option<&mut Record>) -> anyhow::Result<(Curve, bool)> {
+    let (algorithm, settings) = (run.variant.clone(), BTreeMap::new());
+    let curve = Curve { algorithm, settings, ..learning_curve::read(&run.folder)? };
+    let done = run_state(run) == RunFolderState::Finished;
+    if done {
+        demand_whole(run, &curve)?;
+        record.map_or(Ok(()), |record| record.add(run, &curve))?;
+    }
+    Ok((curve, done))
 }
 
 fn is_there(run: &PlannedRun) -> bool {

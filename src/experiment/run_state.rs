@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::Context as _;
-use learner::store::run_folder::{METRICS, RunFolder};
+use learner::store::run_folder::{CONFIG, METRICS, RunFolder};
 use learner::store::{durable, json_lines};
 use serde_json::Value;
 
@@ -33,7 +33,7 @@ pub(crate) enum RunFolderState {
         /// Environment steps of its finished iterations.
         env_steps: u64,
     },
-    /// The last evaluation and the checkpoint before it are written.
+    /// The last evaluation and the checkpoint before it are written, and the folder has its settings and its manifest.
     Finished,
 }
 
@@ -46,6 +46,32 @@ impl RunFolderState {
             Self::Finished => total,
         }
     }
+}
+
+/// Refuses a record in the place of a file or folder that the experiment writes itself, or in a run.
+///
+/// # Errors
+/// Names what is in its place.
+pub(crate) fn demand_own_record(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), Usage> {
+    let record = &file.record;
+    let refused = |what: &str| {
+        let (path, written) = (file.path.display(), file.written[1].display());
+        Err(Usage::new(format!("{path}: record = \"{written}\" is {what}; name another file")))
+    };
+    let name = record.file_name().unwrap_or_default().to_string_lossy();
+    if record.as_os_str().is_empty() {
+        return Ok(());
+    }
+    if record.is_dir() || record.as_os_str().as_encoded_bytes().ends_with(b"/") {
+        return refused("a folder");
+    }
+    if runs.iter().any(|run| record.starts_with(&run.folder) || *record == run.log()) {
+        return refused("in the place of a run or its log");
+    }
+    if record.parent() == Some(&file.folder) && report::is_part(&name) {
+        return refused("in the place of the experiment's own table or figure");
+    }
+    demand_outside_runs(record)
 }
 
 /// How one run ended.
@@ -69,7 +95,10 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunFolderState {
     let last = last_lines(&run.folder.join(METRICS));
     let finished =
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
-    if last.iter().any(finished) {
+    // A resume writes the settings and the manifest again.
+    let is_whole =
+        || RunFolder::recorded(&run.folder).is_some() && run.folder.join(CONFIG).exists();
+    if last.iter().any(finished) && is_whole() {
         return RunFolderState::Finished;
     }
     let steps = last.iter().filter_map(|line| line["env_steps"].as_u64());
@@ -93,9 +122,11 @@ pub(crate) fn mismatch(run: &PlannedRun) -> Option<String> {
     same.err().map(|error| format!("{} has other settings: {error}", run.folder.display()))
 }
 
-/// Refuses a run whose evaluations find something else than those of `planned`, or are at other steps unless the plan is longer.
+/// Refuses a run whose evaluations find something else than those of `planned`, or are at other steps; a plan that is longer may
+/// have a longer interval.
 fn demand_same_evaluations(old: &RunConfig, planned: &RunConfig) -> Result<(), ConfigError> {
-    let is_longer = planned.iterations() > old.iterations();
+    let every = |config: &RunConfig| config.learner.evaluation.every_steps;
+    let is_longer = planned.iterations() > old.iterations() && every(planned) >= every(old);
     let shown = |config: &RunConfig, key: &str| config.resolved.shown(key);
     let differs = |key: &&str| match *key {
         // The description of an external environment is compared when the run resumes.
@@ -211,6 +242,11 @@ mod tests {
         let last =
             "{\"kind\": \"evaluation\", \"iteration\": 8, \"env_steps\": 8000, \"mean\": 1}\n";
         std::fs::write(&metrics, last).unwrap();
+        let unfinished = RunFolderState::Begun { env_steps: 8000 };
+        assert_eq!(run_state(&run), unfinished, "a resume writes the settings and the manifest");
+        std::fs::remove_file(run.folder.join("manifest.json")).unwrap();
+        let begun = RunFolder::claim_new(&run.folder).unwrap();
+        begun.begin("", &serde_json::json!({"config_sha256": "aa"})).unwrap();
         assert_eq!(run_state(&run), RunFolderState::Finished);
     }
 
@@ -239,9 +275,39 @@ mod tests {
             assert!(why.contains("has other settings: ") && why.contains(words), "{why}");
         }
         let shorter = same.replacen("env_steps = 8000", "env_steps = 4000", 1);
-        let shorter = shorter.replacen("every_steps = 4000", "every_steps = 2000", 1);
-        std::fs::write(run.folder.join("config.toml"), shorter).unwrap();
-        assert_eq!(mismatch(&run), None, "a run that becomes longer may have a default of its own");
+        let with = |every: &str| {
+            let config = shorter.replacen("every_steps = 4000", every, 1);
+            std::fs::write(run.folder.join("config.toml"), config).unwrap();
+            mismatch(&run)
+        };
+        assert_eq!(with("every_steps = 2000"), None, "a longer run may have a longer interval");
+        let why = with("every_steps = 5000").unwrap();
+        assert!(why.contains("evaluated with 5000"), "{why}");
+    }
+
+    #[test]
+    fn a_record_in_the_place_of_something_else_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
+        let file = ExperimentFile { folder: folder.path().into(), ..file };
+        let runs = plan(&file).unwrap();
+        let demand = |record: &str| {
+            let file = ExperimentFile { record: folder.path().join(record), ..file.clone() };
+            demand_own_record(&file, &runs).map_err(|why| why.to_string())
+        };
+        demand("record.csv").unwrap();
+        for (record, words) in [
+            ("", "is a folder; name another file"),
+            ("new/", "is a folder"),
+            ("results.md", "in the place of the experiment's own table or figure"),
+            ("ablation.png", "in the place of the experiment's own table or figure"),
+            ("ant-4x2-happo-seed1", "in the place of a run or its log"),
+            ("ant-4x2-happo-seed1/record.csv", "in the place of a run or its log"),
+            ("ant-4x2-happo-seed1.log", "in the place of a run or its log"),
+        ] {
+            let why = demand(record).unwrap_err();
+            assert!(why.contains(words), "{record}: {why}");
+        }
     }
 
     #[test]

@@ -96,19 +96,32 @@ impl Target {
         self.fill(|draft| written(draft).with_context(|| format!("cannot write {shown}")))
     }
 
+    /// Refuses a file that cannot be written, before the work whose results it is for. Changes nothing.
+    ///
+    /// # Errors
+    /// Names the file.
+    pub(crate) fn demand_writable(&self) -> anyhow::Result<()> {
+        let shown = self.path.display();
+        let draft = self.draft();
+        File::create_new(&draft.0).map(drop).with_context(|| format!("cannot write {shown}"))
+    }
+
     /// Lets `write` make the file at a temporary path, and gives it its name when it is complete.
     pub(crate) fn fill<T>(
         &self,
         write: impl FnOnce(&Path) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
-        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        // Processes on several machines may write the same file at the same time.
-        let random = RandomState::new().build_hasher().finish();
-        let draft = format!(".tmp-{random:016x}-{name}");
-        let draft = Draft(self.path.with_file_name(draft));
+        let draft = self.draft();
         let written = write(&draft.0)?;
         self.publish(&draft)?;
         Ok(written)
+    }
+
+    fn draft(&self) -> Draft {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        // Processes on several machines may write the same file at the same time.
+        let random = RandomState::new().build_hasher().finish();
+        Draft(self.path.with_file_name(format!(".tmp-{random:016x}-{name}")))
     }
 
     fn publish(&self, draft: &Draft) -> anyhow::Result<()> {

@@ -140,6 +140,40 @@ fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing
 }
 
 #[test]
+fn a_finished_run_that_lost_evaluations_is_named_and_left_out_and_one_without_a_manifest_is_mended()
+{
+    let experiment = Experiment::new();
+    experiment.run(&ALL);
+    let record = experiment.record();
+    std::fs::remove_file(experiment.directory.path().join("record.csv")).unwrap();
+    std::fs::remove_file(experiment.folder().join("cue-2x1-short-seed1/manifest.json")).unwrap();
+    std::fs::remove_file(experiment.folder().join("cue-2x1-short-seed1/config.toml")).unwrap();
+    let metrics = experiment.folder().join("cue-2x1-short-seed0/metrics.jsonl");
+    let whole = std::fs::read_to_string(&metrics).unwrap();
+    std::fs::write(&metrics, whole.lines().last().unwrap().to_owned() + "\n").unwrap();
+    let (status, told) = told(experiment.command(&ALL).output().unwrap());
+    assert_eq!(status, Some(1), "{told}");
+    let why = "cue-2x1-short-seed0/metrics.jsonl has no evaluation at 0 steps: the report leaves this run out; restore the file";
+    assert!(told.contains(why) && told.contains("2 of 3 runs are finished"), "{told}");
+    let seed0 = |line: &&str| !line.starts_with("cue-2x1,short,0,");
+    assert!(experiment.record().lines().eq(record.lines().filter(seed0)));
+    std::fs::write(&metrics, whole).unwrap();
+    experiment.run(&["--report"]);
+    assert_eq!(experiment.record(), record);
+
+    let rows: Vec<&str> = record.lines().collect();
+    std::fs::write(
+        experiment.directory.path().join("record.csv"),
+        rows[..rows.len() - 1].join("\n"),
+    )
+    .unwrap();
+    let refused = experiment.command(&ALL).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    let why = "the record of cue-2x1-short-seed1 has no last line, which has the hashes of a run; delete its lines";
+    assert!(error(&refused).contains(why), "{}", error(&refused));
+}
+
+#[test]
 fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
     for signal in ["-TERM", "-KILL"] {
         let experiment = Experiment::new();

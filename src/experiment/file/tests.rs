@@ -54,7 +54,8 @@ fn paths_are_relative_to_the_file_and_those_of_the_programs_own_files_to_its_roo
     let text = SAMPLE.replacen("actors = 1", "record = \"r.csv\"", 1);
     let text = text.replacen("\"ant-4x2\"", "\"robots/a.toml:two\"", 1);
     let text = format!("{text}settings.policy.start = \"a:best\"\n");
-    let text = text.replacen("threshold", "settings.policy.start = \"ant-4x2\"\nthreshold", 1);
+    let lines = "settings.policy.start = \"ant-4x2\"\nenvironments.\"robots/a.toml:two\" = \"http://localhost:7\"\nthreshold";
+    let text = text.replacen("threshold", lines, 1);
     let whole = |path: &str| std::path::absolute(path).unwrap().display().to_string();
     for (path, base) in [
         ("a.toml", ""),
@@ -69,6 +70,7 @@ fn paths_are_relative_to_the_file_and_those_of_the_programs_own_files_to_its_roo
         assert_eq!(file.folder.display().to_string(), format!("{base}runs/sample"), "{path}");
         assert_eq!(file.record.display().to_string(), format!("{base}r.csv"), "{path}");
         assert_eq!(file.tasks, ["halfcheetah-2x3", &format!("{base}robots/a.toml:two")]);
+        assert!(file.environments.contains_key(&file.tasks[1]), "{path}");
         let start = |settings: &Option<Table>| assignments(settings.as_ref().unwrap()).concat();
         assert!(start(&file.settings).contains("policy.start=ant-4x2"));
         let own = format!("policy.start={base}a:best");

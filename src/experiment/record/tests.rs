@@ -14,9 +14,14 @@ fn finish(run: &mut PlannedRun, folder: &Path) -> Curve {
     run.folder = folder.to_path_buf();
     let run_folder = RunFolder::claim_new(folder).unwrap();
     run_folder.begin("", &serde_json::json!({"git_commit": "abc"})).unwrap();
-    let lines = "{\"weights_sha256\": \"12\"}\n{\"weights_sha256\": \"34\"}\n";
-    std::fs::write(folder.join(PROVENANCE), lines).unwrap();
-    let returns = vec![(0.0, -1.5), (4000.0, 2.0), (8000.0, 3.25)];
+    let last = run.config.iterations();
+    let line = format!("{{\"iteration\": {last}, \"weights_sha256\": \"34\"}}\n");
+    std::fs::write(folder.join(PROVENANCE), format!("{{\"weights_sha256\": \"12\"}}\n{line}"))
+        .unwrap();
+    let every = run.config.learner.evaluation.every_steps;
+    let evaluated = (0..=run.config.env_steps() / every).map(|number| (number * every) as f64);
+    let values = [-1.5, 2.0].into_iter().chain(std::iter::repeat(3.25));
+    let returns = evaluated.zip(values).collect();
     let surprise = vec![(1000.0, 4.0), (3000.0, 6.0), (7000.0, 8.0)];
     let points = [(Quantity::Return, returns), (Quantity::Surprise, surprise)];
     let (task, algorithm) = (run.task.clone(), run.variant.clone());
@@ -67,6 +72,43 @@ fn a_run_with_another_length_settings_or_evaluations_is_not_the_recorded_one() {
     let mut record = Record::default();
     record.add(&runs[0], &curve).unwrap();
     assert!(!record.holds(&runs[0]) && record.curve(&runs[0]).is_none(), "a shorter one");
+}
+
+#[test]
+fn a_run_without_one_of_its_evaluations_or_its_hashes_is_not_recorded_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = planned().remove(0);
+    let curve = finish(&mut run, folder.path());
+    demand_whole(&run, &curve).unwrap();
+    for (left_out, words) in [
+        (0, "metrics.jsonl has no evaluation at 0 steps"),
+        (1, "metrics.jsonl has no evaluation soon after 0 steps"),
+        (2, "metrics.jsonl has no evaluation soon after 4,000 steps"),
+    ] {
+        let mut curve = curve.clone();
+        curve.points.get_mut(&Quantity::Return).unwrap().remove(left_out);
+        let line = demand_whole(&run, &curve).unwrap_err().to_string();
+        assert!(line.ends_with(words), "{line}");
+    }
+    let mut record = Record::default();
+    record.add(&run, &curve).unwrap();
+    let (path, text) = (folder.path().join("record.csv"), record.text());
+    for (left_out, words) in [
+        (1, "has no evaluation at 0 steps; delete its lines"),
+        (2, "has no evaluation soon after 0 steps; delete its lines"),
+        (3, "has no last line, which has the hashes of a run; delete its lines"),
+    ] {
+        let lines = text.lines().zip(0..).filter(|(_, number)| *number != left_out);
+        let lines: String = lines.map(|(line, _)| format!("{line}\r\n")).collect();
+        std::fs::write(&path, format!("\u{feff}{lines}\r\n")).unwrap();
+        let record = Record::read(&path).unwrap();
+        assert!(!record.holds(&run));
+        let line = record.conflict(&run).unwrap();
+        assert!(line.contains(words), "{line}");
+    }
+    std::fs::write(folder.path().join(PROVENANCE), "{\"weights_sha256\": \"12\"}\n").unwrap();
+    let line = record.add(&run, &curve).unwrap_err().to_string();
+    assert!(line.ends_with("provenance.jsonl lacks its last line"), "{line}");
 }
 
 #[test]
