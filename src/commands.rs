@@ -160,7 +160,7 @@ impl Arguments {
     pub(crate) fn of<T: Into<OsString> + Clone>(
         line: impl IntoIterator<Item = T>,
     ) -> Result<Self, clap::Error> {
-        let mut command = with_home(Self::command());
+        let mut command = completed(Self::command());
         let mut matches = command.try_get_matches_from_mut(line)?;
         Self::from_arg_matches_mut(&mut matches).map_err(|error| error.format(&mut command))
     }
@@ -190,16 +190,19 @@ impl Command {
     }
 }
 
-/// The command, in which a leading `~` of every path stands for the home folder.
-fn with_home(command: clap::Command) -> clap::Command {
+/// The command, in which a leading `~` of every path stands for the home folder, and a negative number is the value of an option,
+/// whose range refuses it.
+fn completed(command: clap::Command) -> clap::Command {
     let path = TypeId::of::<PathBuf>();
-    let expanding = |arg: clap::Arg| {
+    let completing = |arg: clap::Arg| {
+        let takes_value = arg.get_long().is_some() && arg.get_action().takes_values();
+        let arg = arg.allow_negative_numbers(takes_value);
         if arg.get_value_parser().type_id() != path {
             return arg;
         }
         arg.value_parser(PathBufValueParser::new().try_map(|path| shell::expanded(&path)))
     };
-    command.mut_args(expanding).mut_subcommands(with_home)
+    command.mut_args(completing).mut_subcommands(completed)
 }
 
 /// Runs one command to its end.

@@ -151,7 +151,7 @@ impl Connection {
         let Process { config, answered, .. } = &*self.process;
         let answered = *answered.lock().unwrap_or_else(PoisonError::into_inner);
         let secs = answered.elapsed().as_secs_f64();
-        if secs > config.max_outage_secs {
+        if secs >= config.max_outage_secs {
             let url = &config.learner;
             let last = line(error);
             return Err(match error {
@@ -165,7 +165,8 @@ impl Connection {
         let bound = RETRY_DELAY.0.saturating_mul(1 << tries.min(10)).min(RETRY_DELAY.1);
         // Any random source is allowed, because delays do not affect results.
         let share = RandomState::new().build_hasher().finish() as f64 / u64::MAX as f64;
-        Ok(bound.mul_f64(share))
+        let left = Duration::from_secs_f64(config.max_outage_secs - secs);
+        Ok(bound.mul_f64(share).min(left))
     }
 }
 

@@ -99,12 +99,19 @@ pub fn task_names() -> &'static [&'static str] {
 
 /// Builds the task that the settings name or define.
 pub(crate) fn find(config: &TaskConfig) -> Result<Task, SimError> {
-    let (mut file, model) = match &config.definition {
-        Some(definition) => (TaskFile::parse(&definition.file)?, definition.model.as_str()),
-        None => shipped(&config.task).map(|(file, mjcf)| (file.clone(), *mjcf))?,
-    };
-    config.weights.iter().flatten().try_for_each(|(term, weight)| file.reweigh(term, *weight))?;
+    let (mut file, model) = own_file(config)?;
+    for (term, weight) in config.weights.iter().flatten() {
+        *file.weight_mut(term)? = *weight;
+    }
     Task::build(&file, model, &config.task)
+}
+
+/// The task's file and model.
+fn own_file(config: &TaskConfig) -> Result<(TaskFile, &str), SimError> {
+    match &config.definition {
+        Some(definition) => Ok((TaskFile::parse(&definition.file)?, &definition.model)),
+        None => shipped(&config.task).map(|(file, mjcf)| (file.clone(), *mjcf)),
+    }
 }
 
 impl TaskConfig {
@@ -114,6 +121,14 @@ impl TaskConfig {
     /// If there is no such task, or it has no reward term of a name in `weights`.
     pub fn check(&self) -> Result<(), SimError> {
         find(self).map(|_| ())
+    }
+
+    /// Weight of a reward term in the task's file.
+    ///
+    /// # Errors
+    /// If there is no such task, or it has no reward term of this name, or several.
+    pub fn weight_in_file(&self, term: &str) -> Result<f32, SimError> {
+        own_file(self)?.0.weight_mut(term).copied()
     }
 }
 

@@ -57,7 +57,11 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let disturbed = disturbed.transpose()?;
     let task = hosted.environment.description();
     if arguments.json {
-        output::line(as_json(task, &trained, &plain, disturbed.as_deref()));
+        let mut object = as_json(task, &trained, &plain, disturbed.as_deref());
+        if let Some(seed) = arguments.sampled {
+            object["sampled_seed"] = json!(seed);
+        }
+        output::line(object);
         return Ok(());
     }
     let simulator = if trained.config.environment.url.is_empty() { "rapier/" } else { "" };
@@ -67,7 +71,9 @@ pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let first = trained.episode(0).id();
     let last = trained.episode(arguments.episodes - 1).id();
     output::line(format!("{run}: {simulator}{} after {steps} env steps", task.task));
-    output::line(format!("episodes {first} to {last}, seed {seed}\n"));
+    let sampled = arguments.sampled.map(|seed| format!(", actions sampled with seed {seed}"));
+    let sampled = sampled.unwrap_or_default();
+    output::line(format!("episodes {first} to {last}, seed {seed}{sampled}\n"));
     let terms = &task.reward_terms;
     match disturbed {
         None => output::line(as_table(terms, &plain)),

@@ -75,7 +75,10 @@ pub(super) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
     }
     output::line(format!("{episode}: {}", played.summary()));
     let shown = target.path().display();
-    output::line(format!("{shown}: {}", times_shown(&frames, arguments.every_secs)));
+    output::line(format!(
+        "{shown}: {}",
+        times_shown(&frames, arguments.every_secs, played.dt_secs)
+    ));
     Ok(())
 }
 
@@ -146,14 +149,21 @@ fn is_on_path(program: &str) -> bool {
     std::env::split_paths(&folders).any(|folder| folder.join(program).is_file())
 }
 
-/// The times that the film shows.
-fn times_shown(frames: &[TimedPose<'_>], every_secs: f64) -> String {
+/// The times that the film shows, of a robot with steps of `dt_secs`.
+fn times_shown(frames: &[TimedPose<'_>], every_secs: f64, dt_secs: f64) -> String {
+    let steps = every_secs / dt_secs;
+    let nearest = match (steps - steps.round()).abs() > 1e-6 {
+        true => format!(", each of the nearest step of {dt_secs} s"),
+        false => String::new(),
+    };
     let first = frames[0].time_secs;
     let last = frames[frames.len() - 1].time_secs;
     match frames.len() {
         1 => format!("one frame, at {first:.2} s"),
         count => {
-            format!("{count} frames from {first:.2} s to {last:.2} s, one every {every_secs} s")
+            format!(
+                "{count} frames from {first:.2} s to {last:.2} s, one every {every_secs} s{nearest}"
+            )
         }
     }
 }

@@ -18,13 +18,10 @@ pub(super) fn config(arguments: &SettingsArguments) -> anyhow::Result<()> {
     let keys: Vec<String> = arguments.settings.extract_if(.., |word| is_key(word)).collect();
     keys.iter().try_for_each(|key| layers::default_of(key).map(|_| ()))?;
     let config = RunConfig::of(&arguments.request())?;
-    for key in keys.iter().filter(|key| keys::weighted_term(key).is_some()) {
-        // Any weight shows whether the task has such a term.
-        arguments.settings.push(format!("{key}=1"));
-        RunConfig::of(&arguments.request())?;
-    }
-    if !keys.is_empty() {
-        keys.iter().for_each(|key| output::line(explained(&config, key)));
+    let explained = keys.iter().map(|key| explained(&config, key));
+    let explained = explained.collect::<anyhow::Result<Vec<String>>>()?;
+    if !explained.is_empty() {
+        explained.iter().for_each(output::line);
         return Ok(());
     }
     config.demand_task()?;
@@ -40,18 +37,19 @@ fn is_key(word: &str) -> bool {
 }
 
 /// A setting's value and origin, its default and description, and whether it affects the result of a run.
-fn explained(config: &RunConfig, key: &str) -> String {
-    const OF_TASK: &str = "the weight in the task's file";
-    let is_weight = keys::weighted_term(key).is_some();
-    let (file, meaning) = presets::description(key).unwrap_or(("the task", ""));
+fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
+    let weight = keys::weighted_term(key).map(|term| config.task.weight_in_file(term)).transpose();
+    let weight = weight.map_err(|why| Usage::new(why.to_string()))?;
+    let of_weight = "weight of this term of the task's reward or cost";
+    let (file, meaning) = presets::description(key).unwrap_or(("the task's file", of_weight));
+    let default = match (weight, layers::default_of(key)) {
+        (Some(weight), _) => weight.to_string(),
+        (None, default) => default?.to_string(),
+    };
     let (value, origin) = match config.resolved.entries.contains_key(key) {
         true => (config.resolved.shown(key), config.resolved.origin(key)),
-        false if is_weight => (OF_TASK.to_owned(), file),
-        false => ("none".to_owned(), file),
-    };
-    let default = match layers::default_of(key) {
-        Ok(default) if !is_weight => default.to_string(),
-        _ => OF_TASK.to_owned(),
+        false if weight.is_some() => (default.clone(), file),
+        false => ("not set".to_owned(), file),
     };
     // The policies that a place names are part of the hash, not the place.
     let is_start = key == keys::START;
@@ -65,10 +63,10 @@ fn explained(config: &RunConfig, key: &str) -> String {
         format!("{key} = {value}"),
         format!("  set by   {origin}{}", effect::remarks(config)(key)),
         format!("  default  {default}"),
-        format!("  meaning  {}", meaning),
+        format!("  meaning  {meaning}"),
         format!("  effect   {effect}"),
     ];
-    lines.into_iter().filter(|line| !line.ends_with("meaning  ")).collect::<Vec<_>>().join("\n")
+    Ok(lines.join("\n"))
 }
 
 /// `s2mia inspect`
@@ -90,6 +88,10 @@ pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
         return Err(Usage::new(format!("{} {why}", run.display())).into());
     }
     let loaded = stored::load(&run)?;
+    // Without readable settings the hashes still identify it.
+    if let Ok((file, config)) = stored::settings_of_run(&run) {
+        stored::demand_own_checkpoint(&run, &loaded, (&file, &config))?;
+    }
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());
     if arguments.json {

@@ -159,7 +159,15 @@ pub(crate) struct Panel {
 pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     let folder = &RunFolder::of(folder);
     demand_run(folder)?;
-    let lines = all_lines(&folder.join(METRICS))?;
+    let metrics = folder.join(METRICS);
+    let lines = all_lines(&metrics)?;
+    let iterations = lines.iter().filter(|line| line["kind"] != "evaluation");
+    let iterations: BTreeSet<u64> =
+        iterations.filter_map(|line| line["iteration"].as_u64()).collect();
+    let last = iterations.last().copied().unwrap_or(0);
+    if (iterations.len() as u64) < last {
+        tracing::warn!("{} has {} of {last} iterations", metrics.display(), iterations.len());
+    }
     let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
     Ok(Curve { points, ..without_points(folder)? })
 }
@@ -187,8 +195,16 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
     for folder in folders {
         let curve = read(folder)?;
         if curve.of(Quantity::Return).is_empty() {
-            let why =
-                format!("{} has no evaluation yet; see evaluation.every_steps", folder.display());
+            let metrics = RunFolder::of(folder).join(METRICS);
+            let why = match metrics.exists() {
+                true => {
+                    format!(
+                        "{} has no evaluation yet; see evaluation.every_steps",
+                        folder.display()
+                    )
+                }
+                false => format!("{} is missing", metrics.display()),
+            };
             return Err(Usage::new(why).into());
         }
         if let Some(other) = curves.iter().position(|other| other.is_of_the_run_of(&curve)) {

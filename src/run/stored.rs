@@ -145,7 +145,7 @@ pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String
 }
 
 /// Refuses a checkpoint with other settings than those in the file at `run`, or than those of the run around it.
-fn demand_own_checkpoint(
+pub(crate) fn demand_own_checkpoint(
     run: &Path,
     loaded: &Loaded,
     (file, config): (&Path, &RunConfig),

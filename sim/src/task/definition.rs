@@ -265,11 +265,11 @@ impl TaskFile {
         self.agents.keys().map(|partition| format!("{}-{partition}", self.robot))
     }
 
-    /// Replaces the weight of the reward term or cost `term`.
+    /// The weight of the reward term or cost `term`.
     ///
     /// # Errors
     /// If the file has no term of this name, or several.
-    pub(crate) fn reweigh(&mut self, term: &str, weight: f32) -> Result<(), SimError> {
+    pub(crate) fn weight_mut(&mut self, term: &str) -> Result<&mut f32, SimError> {
         let rows = || self.reward.iter().chain(&self.cost).map(|row| row.term.word());
         let choice = spelling::choice(term, rows());
         let refuse = |why: String| Err(refused(format!("reward.{term}: {why}")));
@@ -277,8 +277,7 @@ impl TaskFile {
             0 => refuse(format!("the task has no such term; {choice}")),
             1 => {
                 let mut rows = self.reward.iter_mut().chain(&mut self.cost);
-                rows.find(|row| row.term.word() == term).expect("counted").weight = weight;
-                Ok(())
+                Ok(&mut rows.find(|row| row.term.word() == term).expect("counted").weight)
             }
             _ => refuse("the task has several such terms; change them in a task file".to_owned()),
         }

@@ -26,10 +26,15 @@ pub(crate) struct TaskNewArguments {
 
 /// Writes the example, or the copy.
 pub(super) fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
-    let TaskDefinition { file, model } = match &arguments.from {
+    let definition = match &arguments.from {
         None => TaskDefinition::example(),
         Some(name) => copy(name)?,
     };
+    let named = arguments.from.as_deref().unwrap_or_default();
+    let partitions = definition.partitions()?;
+    let own = partitions.iter().find(|partition| named.ends_with(&format!("-{partition}")));
+    let partition = own.or(partitions.first()).filter(|_| partitions.len() > 1);
+    let TaskDefinition { file, model } = definition;
     let model_name = TaskDefinition::model_of(&file)?;
     let texts = [(model_name.replace(".xml", ".toml"), file), (model_name, model)];
     let texts = texts.map(|(name, text)| (arguments.folder.join(name), text));
@@ -39,10 +44,12 @@ pub(super) fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
     for (path, text) in &texts {
         target::file(path, text.as_bytes())?;
     }
-    let task = &texts[0].0;
     let shown = texts[0].0.display();
-    let check = shell::path(task);
-    let train = setting(task);
+    let task = match partition {
+        Some(partition) => PathBuf::from(format!("{shown}:{partition}")),
+        None => texts[0].0.clone(),
+    };
+    let (check, train) = (shell::path(&task), setting(&task));
     output::line(format!("{shown}: next `s2mia task check {check}`, then `s2mia train {train}`"));
     Ok(())
 }
