@@ -147,11 +147,8 @@ impl<'a> Verifier<'a> {
     /// The recorded evaluations of a part's policies, and of those of its first checkpoint, by whether they sample actions. There
     /// are those of the settings at least, even if they are none.
     fn evaluations(&self, part: Part) -> anyhow::Result<Vec<Evaluations>> {
-        let usual = self.recorded.settings_after(part.start)?.learner.evaluation;
         let mut kinds = BTreeMap::new();
         for (iteration, line) in self.recorded.evaluations.range(part.start..=part.end) {
-            // Earlier programs did not record it.
-            let sampled = line["sampled"].as_bool().unwrap_or(usual.sampled);
             let count = &line["episodes"];
             let episodes = count.as_u64().and_then(|count| u32::try_from(count).ok());
             let possible = episodes.filter(|count| (1..=EPISODES_LIMIT).contains(count));
@@ -160,10 +157,14 @@ impl<'a> Verifier<'a> {
                     "the evaluation of iteration {iteration} in {METRICS} has {count} episodes, expected 1 to {EPISODES_LIMIT}"
                 )
             })?;
-            kinds.entry(sampled).or_insert_with(BTreeMap::new).insert(*iteration, episodes);
+            kinds
+                .entry(line["sampled"] == true)
+                .or_insert_with(BTreeMap::new)
+                .insert(*iteration, episodes);
         }
         if kinds.is_empty() {
-            kinds.insert(usual.sampled, BTreeMap::new());
+            let usual = self.recorded.settings_after(part.start)?.learner.evaluation.sampled;
+            kinds.insert(usual, BTreeMap::new());
         }
         let kinds = kinds.into_iter();
         Ok(kinds.map(|(sampled, planned)| Evaluations { sampled, planned }).collect())
