@@ -38,8 +38,14 @@ fn is_key(word: &str) -> bool {
 
 /// A setting's value and origin, its default and description, and whether it affects the result of a run.
 fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
-    let weight = keys::weighted_term(key).map(|term| config.task.weight_in_file(term)).transpose();
-    let weight = weight.map_err(|why| Usage::new(why.to_string()))?;
+    let remark = effect::remarks(config)(key);
+    let weight = match keys::weighted_term(key) {
+        None => None,
+        Some(_) if !remark.is_empty() => return Err(Usage::new(format!("{key}{remark}")).into()),
+        Some(term) => {
+            Some(config.task.weight_in_file(term).map_err(|why| Usage::new(why.to_string()))?)
+        }
+    };
     let of_weight = "weight of this term of the task's reward or cost";
     let (file, meaning) = presets::description(key).unwrap_or(("the task's file", of_weight));
     let default = match (weight, layers::default_of(key)) {
@@ -61,7 +67,7 @@ fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
     };
     let lines = [
         format!("{key} = {value}"),
-        format!("  set by   {origin}{}", effect::remarks(config)(key)),
+        format!("  set by   {origin}{remark}"),
         format!("  default  {default}"),
         format!("  meaning  {meaning}"),
         format!("  effect   {effect}"),

@@ -30,6 +30,10 @@ fn invalid_arguments_give_one_line_and_status_two() {
         (&["actor", "--log-dir", "x", "--log-episodes", "some"], "none, evaluation, all or a"),
         (&["learner", "--tls-certificate", "a.pem"], "--tls-client-ca"),
         (&["watch", "--max-outage-secs=-1"], "--max-outage-secs"),
+        (
+            &["health", "--timeout-secs", "-1"],
+            "--timeout-secs <SECONDS>': must be 0 to 1000000000 s",
+        ),
         (&["stop", "https://localhost:1"], "--tls-ca"),
         (&["stop", "no/such/run"], "no/such/run"),
     ] {

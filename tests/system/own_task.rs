@@ -15,7 +15,10 @@ fn example(runs: &Runs) -> std::path::PathBuf {
 fn a_copy_of_a_shipped_task_trains_as_the_task_itself_under_its_own_name() {
     let runs = Runs::new();
     let folder = runs.folder("robot");
-    succeeded(&["task", "new", "--from", "walker2d-2x3", text(&folder)]);
+    let next = succeeded(&["task", "new", "--from", "walker2d-3x2", text(&folder)]);
+    assert!(next.contains("walker2d.toml:3x2`, then `s2mia train "), "{next}");
+    assert_eq!(next.matches("walker2d.toml:3x2").count(), 2, "{next}");
+    succeeded(&["task", "new", "--force", "--from", "walker2d-2x3", text(&folder)]);
     let copy = folder.join("walker2d.toml");
     let file = std::fs::read_to_string(&copy).unwrap();
     assert!(
@@ -107,8 +110,14 @@ fn a_weight_of_a_reward_term_is_a_setting_that_changes_the_run_and_its_hash() {
         let line = refused(&[&["train"], settings].concat());
         assert!(line.contains(why), "{line}");
     }
-    let explained = succeeded(&["config", "ant-4x2", "reward.control"]);
-    assert!(explained.starts_with("reward.control = the weight in the task's file"), "{explained}");
+    let explained = succeeded(&["config", "halfcheetah-2x3", "reward.control"]);
+    let words = "reward.control = 0.1\n  set by   the task's file\n  default  0.1\n  meaning  weight of this term";
+    assert!(explained.starts_with(words), "{explained}");
+    let game = refused(&["config", "cue-2x1", "reward.control"]);
+    assert!(
+        game.contains("reward.control; no effect: it needs a robot of the simulator"),
+        "{game}"
+    );
 }
 
 /// The line with which `s2mia` refuses the arguments while `to` stands for `from` in a file.
