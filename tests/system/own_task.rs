@@ -64,7 +64,7 @@ fn a_key_is_explained_with_its_value_origin_default_and_effect() {
     let own = succeeded(&["config", "hasac.batch"]);
     assert!(
         own.starts_with(
-            "hasac.batch = none\n  set by   configs/algorithms/hasac.toml; no effect: it needs algorithm = hasac\n  \
+            "hasac.batch = not set\n  set by   configs/algorithms/hasac.toml; no effect: it needs algorithm = hasac\n  \
              default  256\n"
         ),
         "{own}"
