@@ -165,7 +165,8 @@ impl Connection {
         let bound = RETRY_DELAY.0.saturating_mul(1 << tries.min(10)).min(RETRY_DELAY.1);
         // Any random source is allowed, because delays do not affect results.
         let share = RandomState::new().build_hasher().finish() as f64 / u64::MAX as f64;
-        let left = Duration::from_secs_f64(config.max_outage_secs - secs);
+        let left =
+            Duration::try_from_secs_f64(config.max_outage_secs - secs).unwrap_or(Duration::MAX);
         Ok(bound.mul_f64(share).min(left))
     }
 }

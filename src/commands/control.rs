@@ -123,7 +123,8 @@ pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
 pub(super) struct AtRest {
     /// The last line of the run.
     pub(super) last_line: RunLine,
-    has_checkpoint: bool,
+    /// Whether the run has a checkpoint.
+    pub(super) has_checkpoint: bool,
     iterations: u64,
 }
 
@@ -148,6 +149,15 @@ impl AtRest {
     }
 }
 
+/// What to say of a run without a learner and without a checkpoint.
+pub(super) fn unsaved(run: &Path) -> String {
+    format!(
+        "{} stopped before its first checkpoint; `s2mia train --resume {}` begins it again",
+        run.display(),
+        shell::path(run)
+    )
+}
+
 fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let run = Path::new(&arguments.learner.of);
     let rest = AtRest::of(run)?;
@@ -168,9 +178,7 @@ fn at_rest(arguments: &StatusArguments) -> anyhow::Result<()> {
     let steps = thousands(env_steps);
     let at = format!("iteration {iteration} of {iterations}, {steps} env steps");
     output::line(match (rest.has_checkpoint, end) {
-        (false, _) => format!(
-            "{shown} stopped before its first checkpoint; `s2mia train --resume {run}` begins it again"
-        ),
+        (false, _) => unsaved(Path::new(&arguments.learner.of)),
         (true, Some(RunEnd::Finished)) => format!("{shown} is finished: {at}"),
         (true, _) => {
             format!("{shown} is stopped: {at}; `s2mia train --resume {run}` resumes it")

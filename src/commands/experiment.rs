@@ -137,8 +137,8 @@ impl ExperimentArguments {
 /// signal on.
 const REPEATED: Duration = Duration::from_secs(2);
 
-/// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed or
-/// could not start.
+/// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed, could not start
+/// or is damaged.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;
@@ -171,12 +171,20 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
     let is_done = |run: &PlannedRun| record.holds(run) || is_finished(run);
-    if arguments.selection() == Selection::All || runs.iter().all(is_done) {
-        tell(&file, &runs)?;
+    let told = if arguments.selection() == Selection::All || runs.iter().all(is_done) {
+        tell(&file, &runs)
     } else {
         output::line(rest(&tally, selected.len(), arguments));
+        Ok(())
+    };
+    match (told, finish(&tally, selected.len(), stopped.then_some(arguments))) {
+        (told, Ok(())) => told,
+        (Ok(()), failed) => failed,
+        (Err(why), failed) => {
+            tracing::warn!("{why:#}");
+            failed
+        }
     }
-    finish(&tally, selected.len(), stopped.then_some(arguments))
 }
 
 /// Writes and submits the script of Slurm's jobs, or prints what Kubernetes needs.
@@ -264,13 +272,10 @@ fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
     report.written.iter().for_each(|path| output::line(path.display()));
     let Some((first, others)) = report.damaged.split_first() else { return Ok(()) };
     others.iter().for_each(|why| tracing::warn!("{why}"));
-    anyhow::bail!(
-        "{first}: the report leaves this run out{}; restore the file, or delete the run's folder to repeat it",
-        match others.len() {
-            0 => String::new(),
-            others => format!(" ({others} other runs, too)"),
-        }
-    )
+    match others.len() {
+        0 => anyhow::bail!("{first}"),
+        others => anyhow::bail!("{first} ({others} other runs, too)"),
+    }
 }
 
 fn finish(

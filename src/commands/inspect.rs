@@ -94,9 +94,11 @@ pub(super) fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
         return Err(Usage::new(format!("{} {why}", run.display())).into());
     }
     let loaded = stored::load(&run)?;
-    // Without readable settings the hashes still identify it.
-    if let Ok((file, config)) = stored::settings_of_run(&run) {
-        stored::demand_own_checkpoint(&run, &loaded, (&file, &config))?;
+    // The hashes identify a checkpoint whatever the settings beside it are.
+    if let Ok((file, config)) = stored::settings_of_run(&run)
+        && let Err(why) = stored::demand_own_checkpoint(&run, &loaded, (&file, &config))
+    {
+        tracing::warn!("{why}");
     }
     let checkpoint = &loaded.checkpoint;
     let (weights, state) = (checkpoint.weights_sha256(), checkpoint.state_sha256());

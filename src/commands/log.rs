@@ -11,6 +11,7 @@ use recording::trajectory_log::{
 
 use crate::errors::{Incomplete, Usage};
 use crate::figures::chart::thousands;
+use crate::process::output;
 use crate::progress::WorkProgress;
 use crate::run::run_path;
 
@@ -25,23 +26,33 @@ pub(crate) struct LogArguments {
     pub(crate) replay: bool,
 }
 
-/// Ends with status 1 if a file is damaged or a replayed step differs, with 3 if only data is missing.
+/// Ends with status 1 if a file is damaged or a replayed step differs, with 3 if only data is missing. All files are checked.
 pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
     let paths = paths(&arguments.files)?;
     let all = sizes(&paths);
     let mut done = 0;
     let progress = WorkProgress::new();
     let (mut cut_off, mut lost) = (0, 0);
+    let mut failures = Vec::new();
     for path in &paths {
-        let bytes = in_file(path, read_bytes(path))?;
-        let log = verify(path, &bytes, &progress)?;
-        cut_off += log.torn_steps;
-        lost += log.lost_shares();
-        if arguments.replay {
-            replay(path, &bytes, (done, all), &progress)?;
-        }
+        let checked = in_file(path, read_bytes(path)).and_then(|bytes| {
+            let log = verify(path, &bytes, &progress)?;
+            cut_off += log.torn_steps;
+            lost += log.lost_shares();
+            match arguments.replay {
+                true => replay(path, &bytes, (done, all), &progress),
+                false => Ok(()),
+            }
+        });
+        failures.extend(checked.err());
         done += size(path);
         progress.reach(done, all, || format!("read {}", run_path::name(path)));
+    }
+    if let Some(last) = failures.pop() {
+        failures
+            .iter()
+            .for_each(|why| output::error(format!("error: {}", actor::causes(why.as_ref()))));
+        return Err(last);
     }
     if (cut_off, lost) == (0, 0) {
         return Ok(());

@@ -82,8 +82,8 @@ fn played(
 /// The chosen episode, or the first ones.
 fn episodes(arguments: &RecordArguments, trained: &Trained) -> Vec<EvaluationEpisode> {
     let indices = match arguments.episode {
-        Some(index) => index..index.saturating_add(1),
-        None => 0..arguments.episodes,
+        Some(index) => index..=index,
+        None => 0..=arguments.episodes - 1,
     };
     indices.map(|index| trained.episode(index)).collect()
 }

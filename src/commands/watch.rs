@@ -9,7 +9,7 @@ use learner::serve::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::json;
 
-use crate::commands::control::{AtRest, LearnerArgument, operator, seconds, url};
+use crate::commands::control::{AtRest, LearnerArgument, operator, seconds, unsaved, url};
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::process::{output, runtime, shell};
@@ -83,6 +83,9 @@ impl<'a> Watch<'a> {
                 let run = shell::path(Path::new(of));
                 let next = format!("`s2mia train --resume {run}` starts one");
                 return Err(anyhow::anyhow!("the learner of {of} has ended; {next}"));
+            }
+            if !rest.has_checkpoint {
+                return Err(Usage::new(unsaved(Path::new(of))).into());
             }
             self.show(&rest.last_line);
             return Ok(RunEnd::Finished);

@@ -1,14 +1,14 @@
 //! The record of an experiment: the evaluations of its finished runs in one CSV file, independent of the run folders.
 //! A run in the record is not run again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
 use learner::store::plain_file;
-use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder};
+use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder, STARTS};
 use policy::arrays::hex;
 use sha2::{Digest as _, Sha256};
 
@@ -20,6 +20,7 @@ use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::figures::learning_curve::{Curve, Quantity};
 use crate::process::target::{self, Target};
+use crate::run::recorded::all_lines;
 use crate::run::stored::config_of_run;
 
 const HEADER: &str =
@@ -143,9 +144,10 @@ impl Record {
                 run.name()
             ))
         };
+        let is_same = settings_sha256(&run.config) == known.origin.settings_sha256;
         let has = if known.origin.settings_sha256.is_empty() {
             return damaged("last line, which has the hashes of a run");
-        } else if !is_continued(known, run, recorded) {
+        } else if !is_continued(known, run, recorded) || (recorded == planned && !is_same) {
             "with other settings".to_owned()
         } else if recorded > planned {
             format!("with {} steps, more than are planned", thousands(recorded))
@@ -184,8 +186,9 @@ impl Record {
     /// Names the file of the folder that cannot be read or is not whole.
     pub(crate) fn add(&mut self, run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
         let evaluations = evaluations(curve);
-        let manifest = RunFolder::recorded(&run.folder)
-            .with_context(|| format!("{} has no whole manifest", run.folder.display()))?;
+        // A manifest that was written again has another commit.
+        let starts = all_lines(&run.folder.join(STARTS))?;
+        let commit = starts.first().and_then(|start| start["git_commit"].as_str());
         let provenance = run.folder.join(PROVENANCE);
         let last = last_lines(&provenance).pop().unwrap_or_default();
         let weights_sha256 = last["weights_sha256"].as_str();
@@ -195,7 +198,7 @@ impl Record {
         let origin = Origin {
             settings_sha256: settings_sha256(&run.config),
             weights_sha256: weights_sha256.to_owned(),
-            commit: manifest["git_commit"].as_str().unwrap_or_default().to_owned(),
+            commit: commit.unwrap_or_default().to_owned(),
         };
         self.0.insert(name(run), RecordedRun { evaluations, origin });
         Ok(())
@@ -259,23 +262,24 @@ pub(crate) fn demand_whole(run: &PlannedRun, curve: &Curve) -> anyhow::Result<()
 }
 
 /// The first evaluation that a run of these settings should have and that is not among these; `None` if all are. One is at the
-/// start, one at the end, and one after the iteration that passes the end of an interval. Before the run became longer, the
-/// interval may have been shorter.
+/// start, one at the end, and one after the iteration that passes the end of an interval. A run that became longer may have other
+/// ones before, if none follows another later than those of the new interval.
 fn lost(evaluations: &[Evaluation], config: &RunConfig) -> Option<String> {
-    let learner = &config.learner;
-    let most = learner.evaluation.every_steps + learner.environments.steps_per_iteration();
-    let mut before = None;
-    for Evaluation { env_steps, .. } in evaluations {
-        if before.map_or(*env_steps > 0, |before| env_steps - before >= most) {
-            break;
-        }
-        before = Some(*env_steps);
+    let (every, end) = (config.learner.evaluation.every_steps, config.env_steps());
+    let iteration = config.learner.environments.steps_per_iteration();
+    let is_planned = |steps: u64| {
+        steps == 0 || steps == end || steps / every > steps.saturating_sub(iteration) / every
+    };
+    let found: BTreeSet<u64> = evaluations.iter().map(|evaluation| evaluation.env_steps).collect();
+    let mut planned = (0..=config.iterations()).map(|number| number * iteration);
+    let lost = planned.find(|steps| is_planned(*steps) && !found.contains(steps));
+    if found.iter().all(|steps| is_planned(*steps)) || found.last() != Some(&end) {
+        return lost.map(|steps| format!("evaluation at {} steps", thousands(steps)));
     }
-    match before {
-        Some(last) if last == config.env_steps() => None,
-        Some(last) => Some(format!("evaluation soon after {} steps", thousands(last))),
-        None => Some("evaluation at 0 steps".to_owned()),
-    }
+    let ends = found.iter().skip(1);
+    let gap = found.iter().zip(ends).find(|(before, after)| *after - *before >= every + iteration);
+    let before = if found.contains(&0) { gap.map(|(before, _)| *before) } else { Some(0) };
+    before.map(|before| format!("evaluation soon after {} steps", thousands(before)))
 }
 
 /// All quantities of the curve at its evaluations.
@@ -316,7 +320,7 @@ fn name(run: &PlannedRun) -> RunName {
 }
 
 /// Whether the planned run has the settings of the recorded one of `env_steps` steps. The default interval between evaluations
-/// depends on the length; a longer run in the same folder may also have another interval.
+/// depends on the length; a longer run in the same folder may also have a longer interval.
 fn is_continued(recorded: &RecordedRun, run: &PlannedRun, env_steps: u64) -> bool {
     let recorded = &recorded.origin.settings_sha256;
     let every = run.config.learner.evaluation.every_steps;

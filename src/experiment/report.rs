@@ -90,7 +90,16 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
                 Ok((curve, done)) if kept => (at_evaluations(curve), done),
                 Ok(own) => own,
                 Err(why) => {
-                    started.damaged.push(actor::causes(why.as_ref()));
+                    let advice = match run_state(run) {
+                        RunFolderState::Finished => {
+                            "restore the file, or delete the run's folder to repeat it"
+                        }
+                        _ => "`s2mia experiment` without --report continues it",
+                    };
+                    let why = actor::causes(why.as_ref());
+                    started
+                        .damaged
+                        .push(format!("{why}: the report leaves this run out; {advice}"));
                     continue;
                 }
             },
@@ -106,8 +115,9 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
 
 /// The curve of a run from its folder, and whether the run is finished, in which case it is added to `record`.
 fn of_folder(run: &PlannedRun, record: Option<&mut Record>) -> anyhow::Result<(Curve, bool)> {
-    let (algorithm, settings) = (run.variant.clone(), BTreeMap::new());
-    let curve = Curve { algorithm, settings, ..learning_curve::read(&run.folder)? };
+    let (task, algorithm) = (run.task.clone(), run.variant.clone());
+    let settings = BTreeMap::new();
+    let curve = Curve { task, algorithm, settings, ..learning_curve::read(&run.folder)? };
     let done = run_state(run) == RunFolderState::Finished;
     if done {
         demand_whole(run, &curve)?;

@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::Context as _;
-use learner::store::run_folder::{CONFIG, METRICS, RunFolder};
+use learner::store::run_folder::{METRICS, RunFolder};
 use learner::store::{durable, json_lines};
 use serde_json::Value;
 
@@ -18,7 +18,7 @@ use crate::errors::Usage;
 use crate::figures::chart;
 use crate::run::resume;
 use crate::run::run_path::{Others, demand_outside_runs};
-use crate::run::stored::config_of_run;
+use crate::run::stored::{config_of_run, own_settings};
 
 /// Number of bytes that contains the last lines of a `metrics.jsonl`.
 const TAIL_BYTES: u64 = 64 << 10;
@@ -62,14 +62,16 @@ pub(crate) fn demand_own_record(file: &ExperimentFile, runs: &[PlannedRun]) -> R
     if record.as_os_str().is_empty() {
         return Ok(());
     }
-    if record.is_dir() || record.as_os_str().as_encoded_bytes().ends_with(b"/") {
+    let is_around = file.folder.starts_with(record);
+    if is_around || record.is_dir() || record.as_os_str().as_encoded_bytes().ends_with(b"/") {
         return refused("a folder");
     }
     if runs.iter().any(|run| record.starts_with(&run.folder) || *record == run.log()) {
         return refused("in the place of a run or its log");
     }
-    if record.parent() == Some(&file.folder) && report::is_part(&name) {
-        return refused("in the place of the experiment's own table or figure");
+    let is_own = report::is_part(&name) || name.starts_with("slurm");
+    if record.parent() == Some(&file.folder) && is_own {
+        return refused("in the place of the experiment's own table, figure or script");
     }
     demand_outside_runs(record)
 }
@@ -97,7 +99,7 @@ pub(crate) fn run_state(run: &PlannedRun) -> RunFolderState {
         |line: &Value| line["kind"] == "evaluation" && line["iteration"] == run.config.iterations();
     // A resume writes the settings and the manifest again.
     let is_whole =
-        || RunFolder::recorded(&run.folder).is_some() && run.folder.join(CONFIG).exists();
+        || RunFolder::recorded(&run.folder).is_some() && own_settings(&run.folder).is_ok();
     if last.iter().any(finished) && is_whole() {
         return RunFolderState::Finished;
     }
@@ -246,8 +248,12 @@ mod tests {
         assert_eq!(run_state(&run), unfinished, "a resume writes the settings and the manifest");
         std::fs::remove_file(run.folder.join("manifest.json")).unwrap();
         let begun = RunFolder::claim_new(&run.folder).unwrap();
-        begun.begin("", &serde_json::json!({"config_sha256": "aa"})).unwrap();
+        let resolved = &run.config.resolved;
+        let start = serde_json::json!({"config_sha256": policy::arrays::hex(&resolved.sha256())});
+        begun.begin(&resolved.to_toml(), &start).unwrap();
         assert_eq!(run_state(&run), RunFolderState::Finished);
+        std::fs::write(run.folder.join("config.toml"), "damaged").unwrap();
+        assert_eq!(run_state(&run), unfinished);
     }
 
     #[test]
@@ -299,8 +305,9 @@ mod tests {
         for (record, words) in [
             ("", "is a folder; name another file"),
             ("new/", "is a folder"),
-            ("results.md", "in the place of the experiment's own table or figure"),
-            ("ablation.png", "in the place of the experiment's own table or figure"),
+            ("results.md", "in the place of the experiment's own table, figure or script"),
+            ("ablation.png", "in the place of the experiment's own table, figure or script"),
+            ("slurm.sh", "in the place of the experiment's own table, figure or script"),
             ("ant-4x2-happo-seed1", "in the place of a run or its log"),
             ("ant-4x2-happo-seed1/record.csv", "in the place of a run or its log"),
             ("ant-4x2-happo-seed1.log", "in the place of a run or its log"),

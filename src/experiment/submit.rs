@@ -72,12 +72,12 @@ pub(crate) fn slurm_script(
 ) -> anyhow::Result<String> {
     let directory = std::env::current_dir().context("cannot find the current folder")?;
     let program = std::env::current_exe().context("cannot find this program")?;
-    options.time.map_or(Ok(()), demand_time)?;
     let lines = [("--partition", options.partition), ("--time", options.time)];
     let lines = lines.into_iter().filter_map(|(option, value)| Some((option, value?)));
     let lines =
         lines.map(|(option, value)| Ok(format!("#SBATCH {option}={}\n", word(option, value)?)));
     let lines: String = lines.collect::<Result<_, Usage>>()?;
+    options.time.map_or(Ok(()), demand_time)?;
     // Slurm replaces %A and %a by the ids of the array and the job, and %% by %.
     let log = directory.join(&file.folder).join("slurm-").display().to_string().replace('%', "%%");
     let limit = jobs.limit.map_or_else(String::new, |limit| format!("%{limit}"));
@@ -197,7 +197,8 @@ fn word<'a>(option: &str, value: &'a str) -> Result<&'a str, Usage> {
 /// Refuses a time limit that Slurm does not know, or that leaves no time for a run: its script stops it 120 s before.
 fn demand_time(text: &str) -> Result<(), Usage> {
     let (days, time) = text.split_once('-').map_or((None, text), |(days, time)| (Some(days), time));
-    let number = |text: &str| text.parse::<u32>().ok().map(f64::from);
+    let is_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    let number = |text: &str| text.parse::<u32>().ok().filter(|_| is_digits(text)).map(f64::from);
     let parts: Option<Vec<f64>> = time.split(':').map(number).collect();
     let minutes = match (days.map(number), parts.as_deref()) {
         (None, Some([minutes])) => Some(*minutes),
@@ -210,6 +211,9 @@ fn demand_time(text: &str) -> Result<(), Usage> {
     };
     let refused = |why: &str| Err(Usage::new(format!("--time {text}: {why}")));
     match minutes {
+        _ if ["unlimited", "infinite"].contains(&text.to_lowercase().as_str()) => Ok(()),
+        // No limit.
+        Some(0.0) => Ok(()),
         None => refused("write it as Slurm does: MINUTES, HOURS:MINUTES:SECONDS or DAYS-HOURS"),
         Some(minutes) if minutes < LEAST_MINUTES => {
             refused(&format!("must be at least {LEAST_MINUTES} minutes"))

@@ -4,21 +4,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use kuva::render::layout::TickFormat;
-use learner::store::plain_file;
-use learner::store::run_folder::{CONFIG, METRICS, RunFolder};
+use learner::store::run_folder::{METRICS, RunFolder};
 use policy::{Draw, Purpose};
 use serde_json::Value;
 
 use crate::config::keys::EVALUATED;
-use crate::config::{Request, layers};
 use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
 use crate::run::recorded::all_lines;
 use crate::run::run_path::demand_run;
+use crate::run::stored::config_of_run;
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
 const MOST_POINTS: usize = 100;
@@ -166,7 +164,11 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
         iterations.filter_map(|line| line["iteration"].as_u64()).collect();
     let last = iterations.last().copied().unwrap_or(0);
     if (iterations.len() as u64) < last {
-        tracing::warn!("{} has {} of {last} iterations", metrics.display(), iterations.len());
+        tracing::warn!(
+            "{} has {} of {last} iterations: the curve has gaps",
+            metrics.display(),
+            iterations.len()
+        );
     }
     let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
     Ok(Curve { points, ..without_points(folder)? })
@@ -174,9 +176,7 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
 
 /// Reads the settings of a run folder, without its curves.
 pub(crate) fn without_points(folder: &Path) -> anyhow::Result<Curve> {
-    let file = folder.join(CONFIG);
-    plain_file::refusal(&file).map_or(Ok(()), Err).with_context(|| file.display().to_string())?;
-    let resolved = layers::resolve(&Request { resumed: Some(file), ..Request::default() })?;
+    let resolved = config_of_run(folder)?.resolved;
     let keys = resolved.semantic().map(|(key, _)| key).chain(EVALUATED);
     let keys = keys.filter(|key| !SHOWN_ELSEWHERE.contains(key));
     let settings = keys.map(|key| (key.to_owned(), resolved.shown(key))).collect();
@@ -203,7 +203,9 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
                         folder.display()
                     )
                 }
-                false => format!("{} is missing", metrics.display()),
+                false => {
+                    format!("{} is missing; restore it, or leave the run out", metrics.display())
+                }
             };
             return Err(Usage::new(why).into());
         }

@@ -43,6 +43,34 @@ fn invalid_arguments_give_one_line_and_status_two() {
 }
 
 #[test]
+fn a_key_is_explained_with_its_value_origin_default_and_effect() {
+    let lines = succeeded(&["config", "ant-4x2", "surprise.alpha", "lease.ttl_secs"]);
+    let [alpha, lease] =
+        [5, 10].map(|end| lines.lines().take(end).skip(end - 5).collect::<Vec<_>>());
+    assert!(
+        alpha[0].starts_with("surprise.alpha = 0.")
+            && alpha[1].ends_with("configs/algorithms/happo-s2mia.toml"),
+        "{alpha:?}"
+    );
+    assert_eq!(alpha[2], "  default  0.0");
+    assert!(alpha[3].starts_with("  meaning  weight of log p_theta(o)"), "{alpha:?}");
+    assert_eq!(lease[4], "  effect   affects no result of the steps that are trained");
+    let own = succeeded(&["config", "hasac.batch"]);
+    assert!(
+        own.starts_with(
+            "hasac.batch = not set\n  set by   configs/algorithms/hasac.toml; no effect: it needs algorithm = hasac\n  \
+             default  256\n"
+        ),
+        "{own}"
+    );
+    let unknown = refused(&["config", "surprise.alfa"]);
+    assert!(
+        unknown.trim_end().ends_with("unknown key `surprise.alfa`; did you mean `surprise.alpha`?"),
+        "{unknown}"
+    );
+}
+
+#[test]
 fn commands_that_read_runs_refuse_what_is_none() {
     let runs = Runs::new();
     let empty = runs.folder("empty");

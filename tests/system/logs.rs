@@ -71,4 +71,10 @@ fn files_that_are_no_whole_logs_are_rejected_in_one_line() {
         assert!(parts.iter().all(|part| line.contains(part)), "{line}");
         assert_eq!(line.lines().count(), 1, "{line}");
     }
+    let whole = &logs(folder)[0];
+    let (status, lines) = told(s2mia(&["log", text(&cut), "Cargo.toml", text(whole)]));
+    assert_eq!((status, lines.lines().count()), (Some(1), 3), "{lines}");
+    for part in ["cut.mcap: not finished", "not an MCAP file", "checksums and schemas are right"] {
+        assert!(lines.contains(part), "files after a damaged one are checked: {lines}");
+    }
 }

@@ -82,8 +82,8 @@ fn a_run_without_one_of_its_evaluations_or_its_hashes_is_not_recorded_and_named(
     demand_whole(&run, &curve).unwrap();
     for (left_out, words) in [
         (0, "metrics.jsonl has no evaluation at 0 steps"),
-        (1, "metrics.jsonl has no evaluation soon after 0 steps"),
-        (2, "metrics.jsonl has no evaluation soon after 4,000 steps"),
+        (1, "metrics.jsonl has no evaluation at 4,000 steps"),
+        (2, "metrics.jsonl has no evaluation at 8,000 steps"),
     ] {
         let mut curve = curve.clone();
         curve.points.get_mut(&Quantity::Return).unwrap().remove(left_out);
@@ -95,7 +95,7 @@ fn a_run_without_one_of_its_evaluations_or_its_hashes_is_not_recorded_and_named(
     let (path, text) = (folder.path().join("record.csv"), record.text());
     for (left_out, words) in [
         (1, "has no evaluation at 0 steps; delete its lines"),
-        (2, "has no evaluation soon after 0 steps; delete its lines"),
+        (2, "has no evaluation at 4,000 steps; delete its lines"),
         (3, "has no last line, which has the hashes of a run; delete its lines"),
     ] {
         let lines = text.lines().zip(0..).filter(|(_, number)| *number != left_out);
@@ -126,6 +126,14 @@ fn only_a_longer_run_of_the_same_settings_may_replace_a_recorded_one() {
         record.add(&run, &curve).unwrap();
         assert_eq!(record.conflict(&run), None);
         assert_eq!(record.conflict(&with("16_000")), None);
+        for every in ["500", "2_000"] {
+            let key = "settings.evaluation.every_steps = ";
+            let changed = text.replacen(&format!("{key}4_000"), "", 1);
+            let changed = changed.replacen("threads", &format!("{key}{every}\nthreads"), 1);
+            let changed = plan(&toml::from_str::<ExperimentFile>(&changed).unwrap()).unwrap();
+            let why = record.conflict(&changed[0]).unwrap();
+            assert!(why.contains(" with other settings; set another"), "{why}");
+        }
         let shorter = record.conflict(&with("4_000")).unwrap();
         assert!(shorter.contains(" with 8,000 steps, more than are planned; set "), "{shorter}");
         let other = text.replacen("threads", "settings.update.clip = 0.3\nthreads", 1);

@@ -22,13 +22,15 @@ fn a_word_with_a_line_break_or_a_space_and_a_path_with_a_line_break_are_refused(
 
 #[test]
 fn a_time_limit_is_one_of_slurm_and_at_least_five_minutes() {
-    for time in ["5", "5:00", "90:30", "1:00:00", "1-0", "2-12:30", "1-12:00:00"] {
+    for time in ["5", "5:00", "90:30", "1:00:00", "1-0", "2-12:30", "1-12:00:00", "0", "UNLIMITED"]
+    {
         demand_time(time).unwrap();
     }
     for (time, words) in [
         ("bla", "write it as Slurm does"),
         ("1:2:3:4", "write it as Slurm does"),
         ("1-", "write it as Slurm does"),
+        ("+5", "write it as Slurm does"),
         ("-5", "write it as Slurm does"),
         ("1:00", "must be at least 5 minutes"),
         ("0-0:4", "must be at least 5 minutes"),

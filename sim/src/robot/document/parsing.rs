@@ -157,7 +157,7 @@ fn included(
     if files().any(|file| file.file.as_deref().unwrap_or(&folder.path) == path) {
         return Err(include.refuse(format!("{path} includes itself; remove one <include>")));
     }
-    let document = parsed(&text).map_err(|error| include.refuse(error))?;
+    let document = parsed(&text).map_err(|error| include.refuse(format!("{path}: {error}")))?;
     let source = Source::of(&text, Some(Rc::from(path)), Some(source));
     Ok(read(document.root_element(), &source, folder, depth)?.children)
 }
