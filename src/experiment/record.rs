@@ -273,6 +273,8 @@ fn lost(evaluations: &[Evaluation], config: &RunConfig) -> Option<String> {
     let found: BTreeSet<u64> = evaluations.iter().map(|evaluation| evaluation.env_steps).collect();
     let mut planned = (0..=config.iterations()).map(|number| number * iteration);
     let lost = planned.find(|steps| is_planned(*steps) && !found.contains(steps));
+    // Only of a longer run is the end not the last one.
+    let lost = lost.or((found.last() != Some(&end)).then_some(end));
     if found.iter().all(|steps| is_planned(*steps)) || found.last() != Some(&end) {
         return lost.map(|steps| format!("evaluation at {} steps", thousands(steps)));
     }

@@ -19,7 +19,10 @@ fn finish(run: &mut PlannedRun, folder: &Path) -> Curve {
     std::fs::write(folder.join(PROVENANCE), format!("{{\"weights_sha256\": \"12\"}}\n{line}"))
         .unwrap();
     let every = run.config.learner.evaluation.every_steps;
-    let evaluated = (0..=run.config.env_steps() / every).map(|number| (number * every) as f64);
+    let steps = run.config.learner.environments.steps_per_iteration();
+    let ends = (0..=run.config.iterations()).map(|number| number * steps);
+    let evaluated = ends.filter(|end| *end == 0 || end / every > (end - steps) / every);
+    let evaluated = evaluated.map(|end| end as f64);
     let values = [-1.5, 2.0].into_iter().chain(std::iter::repeat(3.25));
     let returns = evaluated.zip(values).collect();
     let surprise = vec![(1000.0, 4.0), (3000.0, 6.0), (7000.0, 8.0)];
