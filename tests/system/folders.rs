@@ -116,7 +116,7 @@ fn pipes_and_links_in_a_run_folder_are_refused_in_one_line() {
     train(&run, &ONE);
     for (name, commands) in [
         ("metrics.jsonl", &[&["plot"][..], &["train", "--resume"]][..]),
-        ("config.toml", &[&["plot"], &["train", "--resume"]]),
+        ("config.toml", &[&["train", "--resume"]]),
         ("learner.lock", &[&["status"], &["train", "--resume"]]),
     ] {
         let (path, kept) = (run.join(name), run.join("kept"));
