@@ -1,12 +1,11 @@
 //! Metrics as a TensorBoard event file: TFRecord records, each a protocol buffer `Event` with the figures of one line
-//! as scalars over environment steps.
+//! as scalars over environment steps. The few fields needed are encoded by hand.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use prost::Message as _;
 use serde_json::Value;
 
 use super::tags::scalars;
@@ -88,68 +87,75 @@ fn newest(folder: &Path) -> Result<Option<u64>, FileError> {
     Ok(newest)
 }
 
-/// TensorBoard's message: one of the optional parts, at a time. It has only the fields that are written.
-#[derive(Clone, PartialEq, prost::Message)]
-struct Event {
-    /// Seconds since 1970.
-    #[prost(double, tag = "1")]
-    wall_time: f64,
-    #[prost(int64, optional, tag = "2")]
-    step: Option<i64>,
-    /// Of the first event of a file.
-    #[prost(string, optional, tag = "3")]
-    file_version: Option<String>,
-    #[prost(message, optional, tag = "5")]
-    summary: Option<Summary>,
-    #[prost(message, optional, tag = "7")]
-    session_log: Option<SessionLog>,
+/// The first event of every file: `Event { wall_time, file_version }`.
+fn version_event(wall_secs: f64) -> Vec<u8> {
+    let mut event = wall_time(wall_secs);
+    put_bytes(&mut event, 3, b"brain.Event:2");
+    event
 }
 
-#[derive(Clone, PartialEq, prost::Message)]
-struct Summary {
-    #[prost(message, repeated, tag = "1")]
-    value: Vec<Scalar>,
+/// `Event { wall_time, session_log: { status: START } }`: readers drop every point from its step on, which is 0.
+fn start_event(wall_secs: f64) -> Vec<u8> {
+    let mut event = wall_time(wall_secs);
+    put_bytes(&mut event, 7, &[key(1, VARINT), 1]);
+    event
 }
 
-#[derive(Clone, PartialEq, prost::Message)]
-struct Scalar {
-    #[prost(string, tag = "1")]
-    tag: String,
-    #[prost(float, optional, tag = "2")]
-    simple_value: Option<f32>,
+/// `Event { wall_time, step, summary: { value: [{ tag, simple_value }, ...] } }`
+fn scalar_event(wall_secs: f64, line: &Value) -> Vec<u8> {
+    let mut summary = Vec::new();
+    for (tag, value) in scalars(line) {
+        let mut scalar = Vec::new();
+        put_bytes(&mut scalar, 1, tag.as_bytes());
+        scalar.push(key(2, FOUR_BYTES));
+        scalar.extend((value as f32).to_le_bytes());
+        put_bytes(&mut summary, 1, &scalar);
+    }
+    let mut event = wall_time(wall_secs);
+    event.push(key(2, VARINT));
+    put_varint(&mut event, line["env_steps"].as_u64().unwrap_or(0));
+    put_bytes(&mut event, 5, &summary);
+    event
 }
 
-/// Status 1, `START`: readers drop every point from its step on, which is 0.
-#[derive(Clone, PartialEq, prost::Message)]
-struct SessionLog {
-    #[prost(int32, tag = "1")]
-    status: i32,
+fn wall_time(secs: f64) -> Vec<u8> {
+    let mut field = vec![key(1, EIGHT_BYTES)];
+    field.extend(secs.to_le_bytes());
+    field
 }
 
-fn version_event(wall_time: f64) -> Event {
-    Event { wall_time, file_version: Some("brain.Event:2".to_owned()), ..Event::default() }
+/// Wire types of protocol buffers.
+const VARINT: u8 = 0;
+const EIGHT_BYTES: u8 = 1;
+const LENGTH_AND_BYTES: u8 = 2;
+const FOUR_BYTES: u8 = 5;
+
+fn key(field: u8, wire_type: u8) -> u8 {
+    field << 3 | wire_type
 }
 
-fn start_event(wall_time: f64) -> Event {
-    Event { wall_time, session_log: Some(SessionLog { status: 1 }), ..Event::default() }
+fn put_bytes(message: &mut Vec<u8>, field: u8, bytes: &[u8]) {
+    message.push(key(field, LENGTH_AND_BYTES));
+    put_varint(message, bytes.len() as u64);
+    message.extend(bytes);
 }
 
-/// The figures of a line.
-fn scalar_event(wall_time: f64, line: &Value) -> Event {
-    let scalar = |(tag, value): (String, f64)| Scalar { tag, simple_value: Some(value as f32) };
-    let summary = Some(Summary { value: scalars(line).into_iter().map(scalar).collect() });
-    let step = Some(line["env_steps"].as_i64().unwrap_or(0));
-    Event { wall_time, step, summary, ..Event::default() }
+/// Appends a varint: seven bits per byte, the lowest first; the top bit means that more bytes follow.
+fn put_varint(message: &mut Vec<u8>, mut number: u64) {
+    while number >= 0x80 {
+        message.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    message.push(number as u8);
 }
 
 /// A TFRecord record: length (8 bytes, little-endian), its masked checksum (4), data, their masked checksum (4).
-fn record(event: &Event) -> Vec<u8> {
-    let data = event.encode_to_vec();
+fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     let mut record = length.to_vec();
     record.extend(masked(crc32c(&length)).to_le_bytes());
-    record.extend(&data);
-    record.extend(masked(crc32c(&data)).to_le_bytes());
+    record.extend(data);
+    record.extend(masked(crc32c(data)).to_le_bytes());
     record
 }
 
