@@ -94,6 +94,16 @@ pub struct EvaluationConfig {
     pub sampled: bool,
 }
 
+impl EvaluationConfig {
+    /// Whether the policies after `iteration` of `last_iteration` iterations are evaluated: at the start, at the end, and when the
+    /// steps pass a multiple of `every_steps`, which is above 0.
+    #[must_use]
+    pub fn is_due(&self, iteration: u64, steps_per_iteration: u64, last_iteration: u64) -> bool {
+        let passed = |iteration: u64| iteration * steps_per_iteration / self.every_steps;
+        iteration == 0 || iteration == last_iteration || passed(iteration) > passed(iteration - 1)
+    }
+}
+
 /// When the run is saved.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -265,21 +265,21 @@ pub(crate) fn demand_whole(run: &PlannedRun, curve: &Curve) -> anyhow::Result<()
 /// start, one at the end, and one after the iteration that passes the end of an interval. A run that became longer may have other
 /// ones before, if none follows another later than those of the new interval.
 fn lost(evaluations: &[Evaluation], config: &RunConfig) -> Option<String> {
-    let (every, end) = (config.learner.evaluation.every_steps, config.env_steps());
+    let (schedule, end) = (&config.learner.evaluation, config.env_steps());
     let iteration = config.learner.environments.steps_per_iteration();
-    let is_planned = |steps: u64| {
-        steps == 0 || steps == end || steps / every > steps.saturating_sub(iteration) / every
-    };
+    let is_due = |number: &u64| schedule.is_due(*number, iteration, config.iterations());
+    let is_planned = |steps: &u64| steps.is_multiple_of(iteration) && is_due(&(steps / iteration));
     let found: BTreeSet<u64> = evaluations.iter().map(|evaluation| evaluation.env_steps).collect();
-    let mut planned = (0..=config.iterations()).map(|number| number * iteration);
-    let lost = planned.find(|steps| is_planned(*steps) && !found.contains(steps));
-    // Only of a longer run is the end not the last one.
-    let lost = lost.or((found.last() != Some(&end)).then_some(end));
-    if found.iter().all(|steps| is_planned(*steps)) || found.last() != Some(&end) {
+    let is_at_end = found.last() == Some(&end);
+    if !is_at_end || found.iter().all(is_planned) {
+        let mut planned = (0..=config.iterations()).filter(is_due).map(|number| number * iteration);
+        let lost = planned.find(|steps| !found.contains(steps));
+        let lost = lost.or((!is_at_end).then_some(end));
         return lost.map(|steps| format!("evaluation at {} steps", thousands(steps)));
     }
+    let most = schedule.every_steps + iteration;
     let ends = found.iter().skip(1);
-    let gap = found.iter().zip(ends).find(|(before, after)| *after - *before >= every + iteration);
+    let gap = found.iter().zip(ends).find(|(before, after)| *after - *before >= most);
     let before = if found.contains(&0) { gap.map(|(before, _)| *before) } else { Some(0) };
     before.map(|before| format!("evaluation soon after {} steps", thousands(before)))
 }

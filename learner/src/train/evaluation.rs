@@ -71,8 +71,7 @@ impl Evaluations {
         self.planned.as_ref().map_or(usual, |planned| planned.contains_key(&iteration))
     }
 
-    /// Whether an evaluation of the policies after `iteration` iterations is due and has not begun. It is due at the
-    /// start, at the end, and when the steps pass a multiple of `evaluation.every_steps`.
+    /// Whether an evaluation of the policies after `iteration` iterations is due and has not begun.
     #[must_use]
     pub fn due(&self, iteration: u64) -> bool {
         let begun = self.latest.as_ref().is_some_and(|latest| latest.iteration == iteration);
@@ -82,11 +81,7 @@ impl Evaluations {
         if self.planned.is_some() {
             return true;
         }
-        let passed =
-            |iteration: u64| iteration * self.steps_per_iteration / self.config.every_steps;
-        iteration == 0
-            || iteration == self.last_iteration
-            || passed(iteration) > passed(iteration - 1)
+        self.config.is_due(iteration, self.steps_per_iteration, self.last_iteration)
     }
 
     /// The evaluation whose result is outstanding.
