@@ -1,5 +1,5 @@
 //! Replays a log: the simulator steps from each stored state with the logged actions and must reproduce the
-//! observations, states and rewards bit for bit.
+//! observations, states, rewards and their terms bit for bit.
 
 use std::fmt::{self, Debug};
 
@@ -119,7 +119,11 @@ impl Player {
         self.world.step(&actions, &mut outcomes).map_err(|error| error.to_string())?;
         let [Outcome { reward, terminated, truncated, .. }] = outcomes;
         let step = &logged.step;
+        let terms = &self.world.description().reward_terms;
+        let term = |index: usize| format!("the reward's term {}", terms[index]);
+        let found = self.world.reward_terms(0);
         Ok(number("the reward", step.reward, reward)
+            .or_else(|| numbers("the reward's terms", &step.reward_terms, found, term))
             .or_else(|| value("terminated", step.terminated, terminated))
             .or_else(|| value("truncated", step.truncated, truncated)))
     }

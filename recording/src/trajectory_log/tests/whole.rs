@@ -197,6 +197,11 @@ fn difference_after(change: impl Fn(&mut LoggedShare)) -> String {
 fn a_replay_names_the_first_step_that_differs() {
     let found = difference_after(|share| share.steps[20].step.reward += 1.0);
     assert!(found.starts_with("rollout-7-0, step 20: the reward differs: "), "{found}");
+    let found = difference_after(|share| share.steps[20].step.reward_terms[0] += 1.0);
+    assert!(
+        found.starts_with("rollout-7-0, step 20: the reward's term forward_speed differs: "),
+        "{found}"
+    );
     let found = difference_after(|share| share.steps[20].agents[1].observation[3] = 5.0);
     let start =
         "rollout-7-0, step 20: agent 1's observation of bshin.position differs: logged 5.0, ";
