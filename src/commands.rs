@@ -69,7 +69,7 @@ pub(crate) enum Command {
     Status(control::StatusArguments),
     /// Print one line per finished iteration of a run; continues when its learner restarts.
     Watch(watch::WatchArguments),
-    /// Make a learner write a checkpoint and exit, as SIGTERM does.
+    /// Make a learner write a checkpoint and exit, as SIGTERM does, and its actors exit.
     Stop(control::LearnerArgument),
     /// Serve a run's trained policies over gRPC: clients send observations and receive actions.
     Serve(serve::ServeArguments),

@@ -1,4 +1,4 @@
-//! The learner's settings: environments, leases, evaluation, checkpoints, threads. Defaults stand in
+//! The learner's settings: environments, leases, evaluation, checkpoints, threads. Defaults are in
 //! the binary's configuration files, never here.
 
 use policy::setting::{SettingError, between, divisor, within};

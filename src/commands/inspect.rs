@@ -77,6 +77,7 @@ fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
 
 /// `s2mia inspect`
 #[derive(Args, Debug)]
+#[command(mut_arg("run", |run| run.help("Run folder, or one of its checkpoints [default: the newest run in ./runs]")))]
 pub(crate) struct InspectArguments {
     /// Policies.
     #[command(flatten)]

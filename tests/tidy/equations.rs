@@ -74,7 +74,7 @@ fn every_equation_of_the_paper_is_built_or_has_a_reason_why_not() {
     let mut offenders = Vec::new();
     for number in EQUATIONS {
         if !built.contains(&number) && !excused.iter().any(|(other, _)| *other == number) {
-            offenders.push(format!("Eq. ({number}) stands in neither table of docs/PAPER.md"));
+            offenders.push(format!("Eq. ({number}) is in neither table of docs/PAPER.md"));
         }
     }
     let mute = excused.iter().filter(|(_, reason)| reason.len() < 30);

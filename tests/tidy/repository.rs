@@ -1,4 +1,4 @@
-//! The repository as text: which files there are and what stands in them.
+//! The repository as text: which files there are and what they contain.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Which checkpoints stand in a folder, which of them stay, and copies of them.
+//! Which checkpoints a folder has, which of them stay, and copies of them.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;

@@ -1,4 +1,4 @@
-//! Writes a model that names other files as one document without files: included files stand in it, meshes that collide
+//! Writes a model that names other files as one document without files: included files are part of it, meshes that collide
 //! are the corners of their hulls, shapes that are fitted to meshes have their sizes, heights of fields and masses of meshes
 //! are stated. All other meshes are left out, and so is what has no effect on the motion.
 
