@@ -13,6 +13,7 @@ use sim::{Disturbances, EnvironmentBatch, ObservationNorm, Outcome, Pose, Robot,
 
 use super::agents;
 use crate::config::Request;
+use crate::config::layers;
 use crate::config::message_steps::WINDOW;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
@@ -88,7 +89,7 @@ impl Environments {
         between("num_envs", count, 1, LIMITS[0])?;
         between("threads", threads, 1, LIMITS[1])?;
         let keys = settings.iter().skip(1).filter_map(|setting| setting.split_once('='));
-        let keys: Vec<String> = keys.map(|(key, _)| key.to_owned()).collect();
+        demand_effect(keys.map(|(key, _)| key))?;
         let settings_place = Some("settings".to_owned());
         let request = Request { settings, settings_place, ..Request::default() };
         let mut config = RunConfig::of(&request)?;
@@ -97,7 +98,6 @@ impl Environments {
             // A game scales no observations, whatever its algorithm's runs of robots do.
             config.task.observation.norm = ObservationNorm::None;
         }
-        demand_effect(&keys)?;
         let (count, threads) = (count as usize, threads as usize);
         let size = count.div_ceil(threads);
         let slot_steps = config.learner.environments.steps as u64;
@@ -298,12 +298,12 @@ fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
     thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
-/// Refuses the first setting that changes no environment.
-fn demand_effect(keys: &[String]) -> anyhow::Result<()> {
+/// Refuses the first known setting that changes no environment.
+fn demand_effect<'a>(mut keys: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
     let changes = |key: &str| {
         EFFECTIVE.iter().any(|own| *own == key || (own.ends_with('.') && key.starts_with(own)))
     };
-    let Some(key) = keys.iter().find(|key| !changes(key)) else { return Ok(()) };
+    let Some(key) = keys.find(|key| layers::default_of(key).is_ok() && !changes(key)) else { return Ok(()) };
     let known = EFFECTIVE.join(", ").replace("reward.", "the weights of reward");
     let why = format!("settings: `{key}` has no effect on an environment; {known} have");
     Err(Usage::new(why).into())

@@ -26,6 +26,7 @@ the simulator and `policies.py`, are needed only then.
 """
 
 import importlib
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from s2mia.error import RunError
@@ -88,7 +89,16 @@ _MODULES = {
 }
 
 
+# What the package does not install, by the names that need it: without it they are left out of `help(s2mia)`.
+_EXTRAS = {"Runs": "pandas", "runs": "pandas", "gym_env": "gymnasium", "parallel_env": "pettingzoo", "vector_env": "gymnasium"}
+for _name, _extra in _EXTRAS.items():
+    if importlib.util.find_spec(_extra) is None:
+        __all__.remove(_name)
+
+
 def __getattr__(name: str) -> Any:
+    if name == "environment":
+        return importlib.import_module("s2mia.environment")
     if name == "__version__":
         return importlib.import_module("s2mia._native").VERSION
     if name in _MODULES:

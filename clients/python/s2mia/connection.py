@@ -14,6 +14,7 @@ from typing import Any
 import grpc
 
 from s2mia.name import printable
+from s2mia.settings import text_of
 
 CALL_SECS = 10.0
 # Interval at which a server that is starting is tried again.
@@ -94,6 +95,7 @@ def target(address: str, tls: Tls | None, *, insecure_allow_remote: bool = False
 
 def _parts(address: str) -> tuple[str, str, int]:
     """Scheme, host and port of an address; the scheme may be empty."""
+    address = text_of("address", address, "HOST:PORT or a URL")
     try:
         parts = urllib.parse.urlsplit(address if "://" in address else f"//{address}")
         host = parts.hostname

@@ -42,6 +42,11 @@ def _spaces(agent: AgentSpec) -> tuple[Space[Any], Space[Any]]:
     return Box(-np.inf, np.inf, (len(agent.features),), np.float32), action
 
 
+def _own(info: dict[str, Any]) -> dict[str, Any]:
+    """A copy, whose dictionaries are copies."""
+    return {key: dict(value) if isinstance(value, dict) else value for key, value in info.items()}
+
+
 class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type: ignore[misc]
     """A PettingZoo environment.
 
@@ -101,10 +106,10 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
             dict.fromkeys(names, reward),
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
-            {name: dict(info) for name in names},
+            {name: _own(info) for name in names},
         )
 
-    def restore(self, state: bytes) -> None:
+    def restore(self, state: bytes | bytearray | memoryview) -> None:
         """Continues from an exact state of this task. Raises `ValueError` for other bytes, and changes nothing."""
         super().restore(state)
         self.agents = list(self.possible_agents)

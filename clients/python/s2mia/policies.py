@@ -11,7 +11,7 @@ import numpy as np
 from s2mia._native import Team as Native
 from s2mia.acting import Acting, Agent, Description
 from s2mia.error import RunError
-from s2mia.settings import task_text
+from s2mia.settings import task_text, text_of
 from s2mia.values import Numbers, agent_fields, checked_seed
 
 
@@ -61,10 +61,10 @@ def load(
     return _made(lambda own: Native(place, own, which), seed, again)
 
 
-def pretrained(task: str, seed: int | None = None) -> Policies:
+def pretrained(task: str | os.PathLike[str], seed: int | None = None) -> Policies:
     """The trained team that comes with the package for a task, as `load` returns one.
 
-    Raises `RunError` if there is none; its line names the nearest task, or all that have a team.
+    Raises `RunError` if there is none; its line names the nearest task or how to train one.
     """
     name = task_text(task)
     return _made(lambda own: Native.pretrained(name, own), seed, functools.partial(pretrained, name, seed))
@@ -72,8 +72,9 @@ def pretrained(task: str, seed: int | None = None) -> Policies:
 
 def _absolute(path: str | os.PathLike[str]) -> str:
     """The absolute path of a file or folder; any other text as it is, such as the name of a task or an iteration."""
-    place = os.path.expanduser(path)
-    return os.path.abspath(place) if os.path.exists(place) else os.fspath(path)
+    text = text_of("run", path, "the path of a run or checkpoint")
+    place = os.path.expanduser(text)
+    return os.path.abspath(place) if os.path.exists(place) else text
 
 
 def _made(native: Callable[[int | None], Native], seed: int | None, made: Callable[[], Policies]) -> Policies:

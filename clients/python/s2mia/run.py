@@ -11,7 +11,7 @@ import tempfile
 from typing import IO, TYPE_CHECKING, Any
 
 from s2mia.error import RunError
-from s2mia.settings import arguments, assignments
+from s2mia.settings import arguments, assignments, text_of
 
 if TYPE_CHECKING:
     from s2mia.policies import Policies
@@ -34,7 +34,7 @@ class Run:
     """Its absolute path."""
 
     def __post_init__(self) -> None:
-        given = pathlib.Path(self.folder)
+        given = folder_of(self.folder)
         found = run_of(given)
         if not is_run(found):
             missing = next((name for name in (_CONFIG, _MANIFEST) if not (found / name).is_file()), None)
@@ -136,6 +136,11 @@ def _program() -> str:
 def is_run(path: pathlib.Path) -> bool:
     """Whether a folder is a run's. A checkpoint has the same files and its policies."""
     return all((path / name).is_file() for name in (_CONFIG, _MANIFEST)) and not (path / _POLICY).exists()
+
+
+def folder_of(given: str | os.PathLike[str]) -> pathlib.Path:
+    """The path of a folder with runs, where `~` is the home. Raises `ValueError` if it is no path."""
+    return pathlib.Path(text_of("the run", given, "the path of a run or folder")).expanduser()
 
 
 def run_of(path: pathlib.Path) -> pathlib.Path:

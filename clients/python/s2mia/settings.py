@@ -13,12 +13,20 @@ def by_key(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {key.replace("__", "."): value for key, value in settings.items()}
 
 
+def text_of(what: str, value: Any, meaning: str) -> str:
+    """A name or path as a text. Raises `ValueError` if `what` is neither, with what it means."""
+    try:
+        text = os.fspath(value)
+    except TypeError:
+        text = None
+    if not isinstance(text, str):
+        raise ValueError(f"{what} is {value!r}; it is {meaning}")
+    return text
+
+
 def task_text(task: str | os.PathLike[str]) -> str:
     """The task as a text. Raises `ValueError` if it is neither a name nor a path."""
-    try:
-        return os.fspath(task)
-    except TypeError:
-        raise ValueError(f"task is {task!r}; it is a name or the path of a task file") from None
+    return text_of("task", task, "a name or the path of a task file")
 
 
 def absolute(task: str | os.PathLike[str]) -> str:

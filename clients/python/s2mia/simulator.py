@@ -1,9 +1,11 @@
 """The program's simulator: what the environments of PettingZoo and Gymnasium have in common."""
 
+import copy
+import difflib
 import json
 import os
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +21,9 @@ _REWARD = struct.Struct("<f")
 # A setting has 63 bits.
 _LARGEST_SEED = 2**63 - 1
 MOST_ENVIRONMENTS, MOST_THREADS = 65_536, 1024
+# Arguments that some environments have, and the settings without a section.
+_ARGUMENTS = ("disturbances", "num_envs", "render_mode", "seed", "threads")
+_SETTINGS = ("algorithm", "preset", "task")
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,9 @@ class Simulator:
     ) -> None:
         own = checked_seed(seed, _LARGEST_SEED)
         settings = by_key(settings)
+        _demand_settings(settings)
+        if not isinstance(disturbances, str):
+            raise ValueError(f"disturbances is {disturbances!r}; it is 'training', 'evaluation' or 'off'")
         if own is not None and settings.get("run.seed", own) != own:
             raise ValueError(f"seed is {own} and run.seed is {settings['run.seed']}; give one of them")
         seeded = {} if own is None else {"run.seed": own}
@@ -87,6 +95,15 @@ class Simulator:
         return [whole("limit", one, 1, self.task.episode_steps) for one in np.broadcast_to(limits, self.num_envs)]
 
 
+def _demand_settings(keys: Iterable[str]) -> None:
+    """Raises `ValueError` for a keyword that is meant as an argument."""
+    for key in keys:
+        near = difflib.get_close_matches(key, _ARGUMENTS, 1) if "." not in key and key not in _SETTINGS else []
+        if near:
+            why = "this function has no such argument" if key in near else f"did you mean {near[0]!r}?"
+            raise ValueError(f"unknown argument {key!r}; {why}")
+
+
 class OneEnvironment:
     """One environment of the simulator. A copy of it, or what is unpickled, has had no episode."""
 
@@ -98,7 +115,7 @@ class OneEnvironment:
         self.simulator, self.task, self.render_mode = simulator, simulator.task, render_mode
         self.metadata = {
             "name": self.task.name,
-            "render_modes": [RENDER_MODE],
+            "render_modes": [RENDER_MODE] if self.task.joints else [],
             "render_fps": round(1 / self.task.dt_secs),
             "is_parallelizable": True,
         }
@@ -108,6 +125,9 @@ class OneEnvironment:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.simulator, self.render_mode)
+
+    def __copy__(self) -> Any:
+        return copy.deepcopy(self)
 
     def state(self) -> Numbers:
         """The global state `[S]`, whose features `task.state` names."""
@@ -123,7 +143,7 @@ class OneEnvironment:
         """
         return self.simulator.native.save(0)
 
-    def restore(self, state: bytes) -> None:
+    def restore(self, state: bytes | bytearray | memoryview) -> None:
         """Continues from an exact state, of this task. Raises `ValueError` for anything else, and changes nothing."""
         try:
             exact = bytes(memoryview(state))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from s2mia import _native
-from s2mia.settings import by_key
+from s2mia.settings import by_key, task_text
 from s2mia.simulator import OneEnvironment, Simulator
 from s2mia.values import Numbers, numbers
 
@@ -38,7 +38,7 @@ def gym_env(
     for key in by_key(settings):
         if key in _WITHOUT_EFFECT:
             raise ValueError(f"{key} has no effect: the agent of gym_env observes the global state")
-    name, names = os.fspath(task), _native.task_names()
+    name, names = task_text(task), _native.task_names()
     # Of each robot its first task.
     robots = {own.rpartition("-")[0]: own for own in reversed(names)}
     near = difflib.get_close_matches(name, [*names, *robots], 1, 0.8)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from s2mia.error import RunError
-from s2mia.run import is_run, lines, parsed, read, run_of
+from s2mia.run import folder_of, is_run, lines, parsed, read, run_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -43,7 +43,7 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
 
     Running and stopped runs are included. Raises `RunError` if there is no run or a file is damaged.
     """
-    root = pathlib.Path(folder)
+    root = folder_of(folder)
     if not root.is_dir():
         raise RunError(f"{root} is no folder")
     root = run_of(root)

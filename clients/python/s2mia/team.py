@@ -2,7 +2,10 @@
 
 import dataclasses
 import queue
+import threading
 from typing import Any
+
+import numpy as np
 
 from s2mia import wire
 from s2mia.acting import Acting, Agent, Description
@@ -10,8 +13,12 @@ from s2mia.connection import Connection, Tls
 from s2mia.values import Actuator, Numbers, checked_seed
 
 
+# The server refuses larger observations, and ends the stream.
+_LARGEST = 1e9
+
+
 class Team(Acting):
-    """One stream: one team in one environment. The server keeps the agents' recurrent states."""
+    """One stream: one team in one environment. The server keeps the agents' recurrent states. Threads take turns."""
 
     def __init__(
         self,
@@ -40,6 +47,8 @@ class Team(Acting):
         mean = wire.ActStart(mean=wire.MeanAction())
         start = mean if own is None else wire.ActStart(sampled=wire.SampledAction(seed=own))
         self._starts = True
+        # Held from a request to its answer.
+        self._turn = threading.Lock()
         self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._requests.put(wire.ActRequest(start=start))
         with self._connection.errors():
@@ -59,18 +68,32 @@ class Team(Acting):
         self._starts = True
 
     def _step(self, rows: dict[int, Numbers]) -> dict[int, Numbers]:
+        for agent, row in rows.items():
+            if (largest := np.abs(row).max()) > _LARGEST:
+                name = self.agents[agent].name
+                raise ValueError(f"{name}: the observation contains {largest:g}; a served team takes up to {_LARGEST:g}")
         observations = [
             wire.AgentObservation(agent=agent, observation=wire.tensor(row[0])) for agent, row in rows.items()
         ]
-        step = wire.ActStep(reset=self._starts, observations=observations)
+        with self._turn:
+            answer = self._answer(wire.ActStep(reset=self._starts, observations=observations))
+            self._starts = False
+            self.description = dataclasses.replace(self.description, **_weights(answer.weights))
+        return {row.agent: wire.array(row.action)[None] for row in answer.actions}
+
+    def _answer(self, step: Any) -> Any:
+        """The answer to a step."""
         with self._connection.errors():
-            self._requests.put(wire.ActRequest(step=step))
-            answer = next(self._answers, None)
+            try:
+                self._requests.put(wire.ActRequest(step=step))
+                answer = next(self._answers, None)
+            except KeyboardInterrupt:
+                # A later step would get the answer to this one.
+                self.close()
+                raise
         if answer is None:
             raise ConnectionError(f"{self._connection.address}: the server ended the stream")
-        self._starts = False
-        self.description = dataclasses.replace(self.description, **_weights(answer.weights))
-        return {row.agent: wire.array(row.action)[None] for row in answer.actions}
+        return answer
 
 
 def _weights(name: Any) -> dict[str, Any]:

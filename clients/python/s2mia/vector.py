@@ -1,5 +1,6 @@
 """The simulator under Gymnasium's interface of vectorised environments: `vector_env`."""
 
+import copy
 import os
 from typing import Any
 
@@ -67,6 +68,9 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.simulator,)
+
+    def __copy__(self) -> "VectorSimulator":
+        return copy.deepcopy(self)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Numbers, dict[str, Any]]:
         """Starts the next episodes or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation, of

@@ -1,5 +1,9 @@
 """A Python program acts by policies that the binary serves, in an environment of its own."""
 
+import copy
+import pickle
+import threading
+
 import grpc
 import numpy as np
 import pytest
@@ -74,6 +78,46 @@ def test_a_served_team_acts_in_one_environment(team):
     with pytest.raises(ValueError, match="^observations of 3 environments; a served team acts in one$"):
         team().act(np.zeros((3, 2, 9)))
     assert team().act(np.zeros((1, 2, 9))).shape == (1, 2)
+
+
+def test_threads_that_share_a_served_team_get_their_own_answers(team):
+    shared, wrong = team(), []
+
+    def call(agent: str) -> None:
+        for _ in range(200):
+            wrong.extend(shared.act({agent: np.zeros(9)}).keys() - {agent})
+
+    threads = [threading.Thread(target=call, args=(f"agent_{own}",)) for own in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def test_a_served_team_still_acts_after_an_observation_that_is_too_large(team):
+    acting = team()
+    with pytest.raises(ValueError, match=r"^agent_1: the observation contains 2e\+09; a served team takes up to 1e\+09$"):
+        acting.act({"agent_0": np.zeros(9), "agent_1": np.full(9, -2e9)})
+    assert acting.act(np.zeros((2, 9))).shape == (2,)
+
+
+def test_an_interrupted_call_closes_a_served_team(team, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    acting = team()
+    monkeypatch.setattr(acting, "_answers", map(interrupted, [0]))
+    with pytest.raises(KeyboardInterrupt):
+        acting.act(np.zeros((2, 9)))
+    with pytest.raises(ConnectionError, match=r": the connection is closed$"):
+        acting.act(np.zeros((2, 9)))
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_connection_cannot_be_copied(team, copied):
+    with pytest.raises(TypeError, match=r"^a Team has a connection, which cannot be copied or pickled; connect once more$"):
+        copied(team())
 
 
 @pytest.fixture

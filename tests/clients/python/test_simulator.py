@@ -3,6 +3,7 @@
 import copy
 import pathlib
 import pickle
+import re
 import struct
 import warnings
 
@@ -108,17 +109,19 @@ def test_a_restored_state_continues_with_the_same_bits():
     assert first.save() == other.save()
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("made", [s2mia.parallel_env, s2mia.vector_env, s2mia.gym_env])
 def test_a_copy_is_an_environment_of_the_same_arguments_before_its_first_episode(made, copied):
     env = made("walker2d-2x3", seed=5, reward__control=0.5)
     env.reset()
     first = env.state()
     env.reset()
+    second = env.state()
     other = copied(env)
     assert type(other) is type(env)
     other.reset()
     assert np.array_equal(other.state(), first)
+    assert np.array_equal(env.state(), second)
 
 
 def test_a_copy_of_an_environment_of_a_task_file_can_be_made_in_another_folder(monkeypatch):
@@ -127,6 +130,35 @@ def test_a_copy_of_an_environment_of_a_task_file_can_be_made_in_another_folder(m
     kept = pickle.dumps(env)
     monkeypatch.chdir("/")
     assert pickle.loads(kept).task == env.task == copy.copy(env).task
+
+
+@pytest.mark.parametrize(
+    ("made", "given", "line"),
+    [
+        (s2mia.vector_env, {"thread": 2}, "unknown argument 'thread'; did you mean 'threads'?"),
+        (s2mia.parallel_env, {"disturbance": "off"}, "unknown argument 'disturbance'; did you mean 'disturbances'?"),
+        (s2mia.parallel_env, {"num_envs": 3}, "unknown argument 'num_envs'; this function has no such argument"),
+        (s2mia.gym_env, {"disturbances": None}, "disturbances is None; it is 'training', 'evaluation' or 'off'"),
+        (s2mia.gym_env, {"task": 3}, "task is 3; it is a name or the path of a task file"),
+        (s2mia.parallel_env, {"task": b"cue-2x1"}, "task is b'cue-2x1'; it is a name or the path of a task file"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(made, given, line):
+    with pytest.raises(ValueError, match=f"^{re.escape(line)}$"):
+        made(**{"task": "ant-4x2", **given})
+
+
+def test_a_setting_that_changes_no_environment_is_refused_as_such():
+    with pytest.raises(ValueError, match=r"^settings: `policy.width` has no effect on an environment; "):
+        s2mia.parallel_env("ant-4x2", policy__width=3)
+
+
+def test_the_infos_of_agents_are_their_own():
+    env = s2mia.parallel_env("ant-4x2")
+    env.reset()
+    infos = env.step(rest(env))[-1]
+    infos["agent_0"]["reward_terms"].clear()
+    assert infos["agent_1"]["reward_terms"].keys() == set(env.task.reward_terms)
 
 
 @pytest.mark.parametrize("separator", [".", "__"])

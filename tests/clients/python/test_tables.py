@@ -72,6 +72,14 @@ def test_a_line_that_is_still_being_written_is_left_out(folder, tmp_path):
     assert len(s2mia.runs(run).metrics) == 3
 
 
+def test_a_path_may_begin_with_the_home(folder, monkeypatch):
+    monkeypatch.setenv("HOME", str(folder))
+    assert s2mia.Run("~/one").folder == folder / "one"
+    assert len(s2mia.runs("~/one").table) == 1
+    with pytest.raises(ValueError, match="^the run is 3; it is the path of a run or folder$"):
+        s2mia.runs(3)
+
+
 def test_what_is_no_run_or_damaged_is_refused_with_the_file(folder, tmp_path):
     with pytest.raises(s2mia.RunError, match=f"^{tmp_path}/x is no folder$"):
         s2mia.runs(tmp_path / "x")
