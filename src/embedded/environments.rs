@@ -303,7 +303,9 @@ fn demand_effect<'a>(mut keys: impl Iterator<Item = &'a str>) -> anyhow::Result<
     let changes = |key: &str| {
         EFFECTIVE.iter().any(|own| *own == key || (own.ends_with('.') && key.starts_with(own)))
     };
-    let Some(key) = keys.find(|key| layers::default_of(key).is_ok() && !changes(key)) else { return Ok(()) };
+    let Some(key) = keys.find(|key| layers::default_of(key).is_ok() && !changes(key)) else {
+        return Ok(());
+    };
     let known = EFFECTIVE.join(", ").replace("reward.", "the weights of reward");
     let why = format!("settings: `{key}` has no effect on an environment; {known} have");
     Err(Usage::new(why).into())
