@@ -173,13 +173,7 @@ impl World {
     pub fn velocities(&self, out: &mut [f32]) {
         let velocities = self.multibody().generalized_velocity();
         for joint in &self.robot.layout.joints {
-            let (count, sign) = match joint.kind {
-                MapKind::Planar => (3, 1.0),
-                MapKind::Fixed => (0, 1.0),
-                MapKind::Ball => (3, 1.0),
-                MapKind::Free | MapKind::Floating => (6, 1.0),
-                MapKind::Hinge { sign, .. } => (1, sign),
-            };
+            let (count, sign) = joint.kind.speeds();
             for k in 0..count {
                 out[joint.velocity + k] = sign * velocities[joint.dof + k];
             }
@@ -265,26 +259,19 @@ impl World {
         let q = &coordinates[joint.coordinate..];
         let link = multibody.link_mut(joint.link).expect("the layout is this robot's");
         link.joint = *template.expect("the layout is this robot's").joint();
-        let (count, sign) = match joint.kind {
-            MapKind::Fixed => (0, 1.0),
-            MapKind::Planar => {
-                link.joint.apply_displacement(&q[..3]);
-                (3, 1.0)
-            }
-            MapKind::Hinge { sign, .. } => {
-                link.joint.apply_displacement(&[sign * q[0]]);
-                (1, sign)
-            }
+        let (count, sign) = joint.kind.speeds();
+        match joint.kind {
+            MapKind::Fixed => {}
+            MapKind::Planar => link.joint.apply_displacement(&q[..3]),
+            MapKind::Hinge { .. } => link.joint.apply_displacement(&[sign * q[0]]),
             MapKind::Ball => {
                 let rotation = Rotation::from_xyzw(q[1], q[2], q[3], q[0]);
                 let data = plan.ball().map(|ball| ball_joint(plan, ball, rotation));
                 link.joint.data = data.expect("a map has the kind of its plan");
-                (3, 1.0)
             }
             MapKind::Floating => {
                 let rotation = Rotation::from_xyzw(q[4], q[5], q[6], q[3]);
                 link.joint = floating_at([q[0], q[1], q[2]], rotation);
-                (6, 1.0)
             }
             MapKind::Free => {
                 // Not renormalised, because the encoded state must be restored exactly.
@@ -293,9 +280,8 @@ impl World {
                     Rotation::from_xyzw(q[4], q[5], q[6], q[3]),
                 );
                 self.physics.bodies[joint.body].set_position(pose, true);
-                (6, 1.0)
             }
-        };
+        }
         for k in 0..count {
             multibody.generalized_velocity_mut()[joint.dof + k] =
                 sign * velocities[joint.velocity + k];

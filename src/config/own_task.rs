@@ -2,6 +2,7 @@
 //! model names, become settings, so that they take part in the hash of the settings and travel with the run.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use learner::store::plain_file;
@@ -158,7 +159,12 @@ fn one_document(folder: &Path, document: &str) -> Result<String, String> {
 
 /// Place of a file of the model. Its content travels with the run, so a link must not lead out of the folder.
 fn inside(folder: &Path, path: &str) -> Result<PathBuf, String> {
-    let resolved = |path: &Path| path.canonicalize().map_err(|error| error.to_string());
+    let resolved = |path: &Path| {
+        path.canonicalize().map_err(|error| match error.kind() {
+            ErrorKind::NotFound => format!("{error}; add it, or correct the name"),
+            _ => error.to_string(),
+        })
+    };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let (folder, file) = (resolved(folder)?, resolved(&folder.join(path))?);
     if !file.starts_with(&folder) {

@@ -254,6 +254,19 @@ MODELS = {
         ),
         None,
     ),
+    **{
+        f"box with a pair of {stated or 'defaults'}": (
+            document(
+                '<body pos="0 0 .1"><freejoint name="f"/><geom name="g" type="box" size=".1 .1 .1" contype="0" conaffinity="0"'
+                ' friction="0.4 0.1 0.01" solref="0.05 2" solimp="0.5 0.6 0.01" condim="1" priority="1"/></body>',
+                'gravity="3 5 -9"',
+                'friction="0.4 0.1 0.01"',
+                f'<contact><pair geom1="g" geom2="floor" {stated}/></contact>',
+            ),
+            None,
+        )
+        for stated in ("", 'friction="0.3"', 'solref="0.05"', 'solimp="0.6 0.7"')
+    },
     "ball with a margin and a pair without one": (
         document(
             '<body pos="0 0 0.12"><freejoint/><geom name="b" size="0.1" mass="10" margin="0.02"/></body>',

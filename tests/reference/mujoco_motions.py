@@ -111,6 +111,34 @@ FLUID = """<mujoco>
 </mujoco>
 """
 
+# A body with a stated inertia, or of two shapes, whose moments are equal or not, in a fluid that flows.
+DRONE = """<mujoco>
+  <option timestep="0.002" density="{density}" viscosity="0.00002" wind="10 0 3"/>
+  <worldbody>
+    <body pos="0 0 1"><freejoint name="root"/>
+      {parts}
+      <body pos=".3 0 0"><joint name="j" axis="0 0 1"/>
+        <geom type="capsule" fromto="0 0 0 .2 0 0" size=".02"/></body></body>
+  </worldbody>
+  <actuator><motor joint="j" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+STATED = '<inertial pos="0 0 0" mass="2" diaginertia="{}" euler="30 40 50"/><geom size=".1" contype="0" conaffinity="0"/>'
+TWO = '<geom type="cylinder" size=".05 .2" euler="30 40 50"/><geom size=".08" pos="0.05 0 0.02"/>'
+
+# An arm, or a free robot, beside what is fixed to the world and counts for `settotalmass`.
+TOTAL = """<mujoco>
+  <compiler settotalmass="30"/>
+  <worldbody>
+    {fixed}
+    {start}<geom type="box" size=".1 .2 .05"/>
+      <body pos=".1 0 0"><joint name="j1" axis="0 1 0" damping=".3"/>
+        <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/></body></body>{end}
+  </worldbody>
+  <actuator><motor joint="j1" ctrlrange="-5 5"/></actuator>
+</mujoco>
+"""
+
 # A chain that tumbles, swings into its limits and falls on the floor, with large steps.
 TUMBLE = """<mujoco>
   <compiler angle="radian"/>
@@ -179,6 +207,18 @@ MOTIONS = {
     "a body in a fluid": (FLUID.format(option='density="900" viscosity="0.3" wind="1 -2 0.5"'),
                           [0.5, 0, 1, 2, -3, 4, 5], [0.05], 300),
     "a body in honey": (FLUID.format(option='viscosity="8"'), [0.5, 0, 1, 2, -3, 4, 5], [0.05], 300),
+    **{f"an inertia of {moments} in air": (
+        DRONE.format(density="1.2", parts=STATED.format(moments)), [0.5, 0, 1, 2, -3, 4, 5], [0.3], 250)
+       for moments in ("0.06 0.05 0.05", "0.05 0.05 0.05", "0.05 0.05 0.06", "0.04 0.05 0.06")},
+    "a stated inertia in water": (
+        DRONE.format(density="1000", parts=STATED.format("0.06 0.05 0.05")), [0.5, 0, 1, 2, -3, 4, 5], [0.3], 100),
+    "two shapes in water": (DRONE.format(density="1000", parts=TWO), [0.5, 0, 1, 2, -3, 4, 5], [0.3], 100),
+    "a total mass with a table": (
+        TOTAL.format(fixed='<body pos="3 0 .5"><geom type="box" size=".3 .3 .5" mass="20"/></body>',
+                     start='<body pos="0 0 1"><freejoint name="root"/>', end=""), [], [5], 150),
+    "a total mass with a base that has no shape": (
+        TOTAL.format(fixed="", start='<body><inertial pos="0 0 0" mass="20" diaginertia="1 1 1"/>'
+                     '<body pos="0 0 1"><joint name="j0" axis="0 0 1"/>', end="</body>"), [], [5], 150),
     "a step of Runge and Kutta": (TUMBLE, [0.3, 0.2, 0, 4, -3, 5, 2], [0.9], 40),
     "four bars": (FOUR_BARS, [], [0.3], 350),
     "ball joints": (BALLS.format(limit=""), [1, -2, 3, 2, 0.5, -1, 1], [0.5, 0.3, -0.4], 400),

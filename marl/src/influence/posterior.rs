@@ -8,6 +8,7 @@ use policy::layers::{LayerSpec, TANH_GAIN};
 use policy::ops::{Activation, LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use rand::RngCore;
 
 use crate::config::InfluenceConfig;
 use crate::data::batch::ActionKind;
@@ -109,6 +110,30 @@ impl Corrected {
     }
 }
 
+/// The two stacks of layers of q, with initial weights: the encoder of the other agents' actions, and the layers over the
+/// features joined with its output, which end in `outputs` linear units with the orthogonal gain `gain`.
+///
+/// # Errors
+/// If a tensor operation fails.
+pub(super) fn stacks(
+    config: &InfluenceConfig,
+    shape: PosteriorShape,
+    (outputs, gain): (usize, f64),
+    parameters: &mut Parameters,
+    rng: &mut impl RngCore,
+) -> Result<[LayerStack; 2], MarlError> {
+    let tanh = Activation::Tanh;
+    let encoder = (shape.others, config.encoder);
+    let joined = (shape.features + config.encoder, config.hidden);
+    let encoder = [LayerSpec::linear("encoder", encoder, tanh, TANH_GAIN)];
+    let joined = [
+        LayerSpec::linear("joined", joined, tanh, TANH_GAIN),
+        LayerSpec::linear("head", (config.hidden, outputs), Activation::Identity, gain),
+    ];
+    let encoder = LayerStack::declare(parameters, &encoder, rng)?;
+    Ok([encoder, LayerStack::declare(parameters, &joined, rng)?])
+}
+
 impl Posterior {
     /// A posterior of this shape for agent `agent`, with initial weights.
     ///
@@ -122,17 +147,8 @@ impl Posterior {
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
         let mut parameters = Parameters::new();
-        let others = config.encoder;
-        let joined = shape.features + config.encoder;
-        let tanh = Activation::Tanh;
-        let outputs = shape.kind.head().outputs(shape.action);
-        let encoder = [LayerSpec::linear("encoder", (shape.others, others), tanh, TANH_GAIN)];
-        let joined = [
-            LayerSpec::linear("joined", (joined, config.hidden), tanh, TANH_GAIN),
-            LayerSpec::linear("head", (config.hidden, outputs), Activation::Identity, 0.0),
-        ];
-        let encoder = LayerStack::declare(&mut parameters, &encoder, &mut rng)?;
-        let joined = LayerStack::declare(&mut parameters, &joined, &mut rng)?;
+        let head = (shape.kind.head().outputs(shape.action), 0.0);
+        let [encoder, joined] = stacks(config, shape, head, &mut parameters, &mut rng)?;
         let sigma_correction = match shape.kind {
             ActionKind::Continuous => {
                 let start = Tensor::zeros(shape.action, DType::F32, &Device::Cpu)?;

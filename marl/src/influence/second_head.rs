@@ -2,8 +2,7 @@
 //! the trunk with one optimiser.
 
 use candle_core::{Device, Tensor, Var};
-use policy::layers::{LayerSpec, TANH_GAIN};
-use policy::ops::{Activation, LayerStack, Weights, sigmoid};
+use policy::ops::{LayerStack, Weights, sigmoid};
 use policy::parameters::Parameters;
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
 use policy::{Distribution, Gaussian, PolicyConfig, project_sigma};
@@ -11,7 +10,7 @@ use policy::{Distribution, Gaussian, PolicyConfig, project_sigma};
 use crate::config::InfluenceConfig;
 use crate::distribution::HeadRows;
 use crate::error::MarlError;
-use crate::influence::posterior::{Conditions, PosteriorShape};
+use crate::influence::posterior::{Conditions, PosteriorShape, stacks};
 use crate::optimisation::layers::rows;
 
 /// A Gaussian over the agent's action. `a^-i` is encoded (Linear, tanh) and joined with the trunk's features; Linear,
@@ -41,18 +40,8 @@ impl SecondHead {
     ) -> Result<Self, MarlError> {
         let mut rng = generator(seed, Draw::of(Purpose::PosteriorInitialisation).agent(agent));
         let mut parameters = Parameters::new();
-        let tanh = Activation::Tanh;
-        let gain = f64::from(policy.head_gain);
-        let encoder = (shape.others, config.encoder);
-        let joined = (shape.features + config.encoder, config.hidden);
-        let head = (config.hidden, shape.action);
-        let encoder = [LayerSpec::linear("encoder", encoder, tanh, TANH_GAIN)];
-        let joined = [
-            LayerSpec::linear("joined", joined, tanh, TANH_GAIN),
-            LayerSpec::linear("head", head, Activation::Identity, gain),
-        ];
-        let encoder = LayerStack::declare(&mut parameters, &encoder, &mut rng)?;
-        let joined = LayerStack::declare(&mut parameters, &joined, &mut rng)?;
+        let head = (shape.action, f64::from(policy.head_gain));
+        let [encoder, joined] = stacks(config, shape, head, &mut parameters, &mut rng)?;
         let start = Tensor::full(policy.initial_log_std(), shape.action, &Device::Cpu)?;
         let log_std = parameters.add("log_std", start)?;
         Ok(Self {

@@ -33,10 +33,9 @@ impl Fluid {
         self.density > 0.0 || self.viscosity > 0.0
     }
 
-    /// Adds a body in a link. `axes` are those of its only shape, along which it has its principal moments; without them,
-    /// they are found.
-    pub(super) fn add(&mut self, link: usize, solid: &Solid, axes: Option<Rotation>) {
-        let ([x, y, z], axes) = solid.moments_along(axes);
+    /// Adds a body in a link, as a box along `axes`, along which it has its principal moments.
+    pub(super) fn add(&mut self, link: usize, solid: &Solid, axes: Rotation) {
+        let [x, y, z] = solid.moments_along(axes);
         let edge = |square: f64| (6.0 * square.max(1e-15) / solid.mass).sqrt();
         let sizes = [edge(y + z - x), edge(x + z - y), edge(x + y - z)];
         let centre = Vector::from_array(solid.centre.map(|number| number as f32));

@@ -15,6 +15,10 @@ pub(super) type Matrix = [[f64; 3]; 3];
 const IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 /// Sweeps of Jacobi's method. It converges quadratically; five sweeps reach the last bit of a 3 x 3 matrix.
 const SWEEPS: usize = 8;
+/// Most rotations in MuJoCo's search for principal axes.
+const MOST_TURNS: usize = 500;
+/// Product of inertia, as a share of the moments' sum, that counts as zero: the round-off of the shapes' f32 quaternions.
+const ROUND_OFF: f64 = 1e-7;
 
 /// A rigid part: its mass, its mass centre, and its inertia about the centre.
 #[derive(Clone, Copy, Debug, Default)]
@@ -100,12 +104,39 @@ impl Solid {
         Self { centre: self.centre, ..raised.turned(numbers(frame)) }
     }
 
-    /// Moments along axes, kg m^2; without any, the principal moments and their axes.
-    pub(super) fn moments_along(&self, axes: Option<Rotation>) -> ([f64; 3], Rotation) {
-        let Some(axes) = axes else { return principal_axes(self.inertia) };
+    /// Moments along axes, kg m^2.
+    pub(super) fn moments_along(&self, axes: Rotation) -> [f64; 3] {
+        let inertia = self.inside(axes);
+        std::array::from_fn(|axis| inertia[axis][axis])
+    }
+
+    /// Principal axes as MuJoCo finds them from those of `frame`: turned about one axis after another, so that the largest product
+    /// of inertia becomes zero. Which axes of equal moments are found depends on this order.
+    pub(super) fn axes_from(&self, frame: Rotation) -> Rotation {
+        let mut found = [0.0, 0.0, 0.0, 1.0];
+        let inside = Self { inertia: self.inside(frame), ..Self::default() };
+        let trace: f64 = (0..3).map(|axis| inside.inertia[axis][axis]).sum();
+        for _ in 0..MOST_TURNS {
+            let [x, y, z, w] = found;
+            let inertia = inside.turned([-x, -y, -z, w]).inertia;
+            let size = |axis: usize| inertia[(axis + 1) % 3][(axis + 2) % 3].abs();
+            let axis = match (size(2) > size(1), size(1) > size(0)) {
+                (true, _) if size(2) > size(0) => 2,
+                (_, true) => 1,
+                _ => 0,
+            };
+            let rotation = jacobi_rotation(&inertia, (axis + 1) % 3, (axis + 2) % 3);
+            let Some(rotation) = rotation.filter(|_| size(axis) > ROUND_OFF * trace) else { break };
+            found = unit(turned(found, axis, rotation));
+        }
+        let [x, y, z, w] = found.map(|number| number as f32);
+        frame * Rotation::from_xyzw(x, y, z, w)
+    }
+
+    /// Inertia along axes.
+    fn inside(&self, axes: Rotation) -> Matrix {
         let [x, y, z, w] = numbers(axes);
-        let inertia = self.turned([-x, -y, -z, w]).inertia;
-        (std::array::from_fn(|axis| inertia[axis][axis]), axes)
+        self.turned([-x, -y, -z, w]).inertia
     }
 
     /// Centre, half edges and axes of the box with the same mass and inertia, the shortest edge first.
@@ -212,9 +243,14 @@ fn principal_axes(mut inertia: Matrix) -> ([f64; 3], Rotation) {
             }
         }
     }
-    let length = frame.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let [x, y, z, w] = frame.map(|x| (x / length) as f32);
+    let [x, y, z, w] = unit(frame).map(|x| x as f32);
     ([inertia[0][0], inertia[1][1], inertia[2][2]], Rotation::from_xyzw(x, y, z, w))
+}
+
+/// The quaternion with the length 1.
+fn unit(quaternion: [f64; 4]) -> [f64; 4] {
+    let length = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
+    quaternion.map(|x| x / length)
 }
 
 /// Cosine and sine of the rotation from `p` to `q` that makes `inertia[p][q]` zero; `None` if it is already zero.

@@ -111,6 +111,18 @@ pub(crate) enum MapKind {
     Ball,
 }
 
+impl MapKind {
+    /// Number of velocities, and their sign in the multibody.
+    pub(crate) fn speeds(self) -> (usize, f32) {
+        match self {
+            Self::Fixed => (0, 1.0),
+            Self::Hinge { sign, .. } => (1, sign),
+            Self::Planar | Self::Ball => (3, 1.0),
+            Self::Free | Self::Floating => (6, 1.0),
+        }
+    }
+}
+
 /// A ball joint.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BallMap {

@@ -11,6 +11,8 @@ use super::frame::{Frame, IDENTITY, cross, dot, rotated};
 use super::inertia::{Matrix, Solid};
 use crate::scene::Hull;
 
+/// Start of a file that Git LFS has not fetched.
+const LFS_POINTER: &[u8] = b"version https://git-lfs";
 const STL_HEADER_BYTES: usize = 84;
 const STL_TRIANGLE_BYTES: usize = 50;
 /// Most points of a mesh; the time that a hull takes grows with them.
@@ -42,10 +44,13 @@ impl Mesh {
     pub(super) fn read(path: &str, bytes: &[u8]) -> Result<Self, String> {
         let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
         let mesh = match ending.as_deref() {
+            _ if bytes.starts_with(LFS_POINTER) => {
+                Err("it is a pointer of Git LFS, not the file; run `git lfs pull`".to_owned())
+            }
             Some("stl") => read_stl(bytes),
             Some("obj") => read_obj(bytes),
             Some("msh") => read_msh(bytes),
-            _ => Err("it is not an STL, OBJ or MSH file".to_owned()),
+            _ => Err("it is not an STL, OBJ or MSH file; convert it to one".to_owned()),
         };
         // Only OBJ files count vertices from 1.
         let mesh =
@@ -207,8 +212,12 @@ fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
     let count = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
-    let count = count.ok_or("an STL file has at least 84 bytes")?;
-    let expected = count.checked_mul(STL_TRIANGLE_BYTES).map(|size| size + STL_HEADER_BYTES);
+    let expected = count.and_then(|count| count.checked_mul(STL_TRIANGLE_BYTES));
+    let expected = expected.map(|size| size + STL_HEADER_BYTES);
+    if bytes.starts_with(b"solid") && expected != Some(bytes.len()) {
+        return Err("it is an ASCII STL file; save it as a binary one".to_owned());
+    }
+    let count = count.ok_or("a binary STL file has at least 84 bytes, it has less")?;
     if expected != Some(bytes.len()) {
         return Err(format!(
             "it is not a binary STL file: {count} triangles need {} bytes, it has {}",
@@ -375,7 +384,9 @@ mod tests {
         let mut cut = stl(&Mesh::read("cube.obj", CUBE.as_bytes()).unwrap());
         cut.pop();
         assert!(reason("a.stl", &cut).contains("12 triangles need 684 bytes, it has 683"));
-        assert!(reason("a.stl", b"solid cube").contains("at least 84 bytes"));
+        assert!(reason("a.stl", b"cube").contains("at least 84 bytes"));
+        assert!(reason("a.stl", b"solid cube").contains("save it as a binary one"));
+        assert!(reason("a.obj", b"version https://git-lfs.").contains("run `git lfs pull`"));
         assert!(
             reason("a.obj", b"v 0 0 0\nf 1 2 9\n")
                 .contains("a face names vertex 2; the last one is 1")

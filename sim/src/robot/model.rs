@@ -37,9 +37,10 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         context.blockers.keep(read.map_err(|reason| model.refuse(reason)));
     }
     let mut bodies = bodies::flat(&root, &context);
+    let fixed_mass = bodies::fixed_mass(&bodies, &mut context, folder);
     let grounds = bodies::take_grounds(&mut bodies, &mut context, folder);
     let mut links = links::read(&bodies, &mut context, folder);
-    links.masses_to_links(&context);
+    links.masses_to_links(&context, fixed_mass);
     let tendons = couplings::tendons(&root, &context, &links.plans);
     let equalities = couplings::equalities(&root, &context, &links.plans, &tendons);
     let connections = couplings::connections(&root, &context, &bodies, &links);

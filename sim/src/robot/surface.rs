@@ -123,12 +123,6 @@ impl Surface {
         }
     }
 
-    /// `solref` and `solimp` of a contact with another shape.
-    pub(super) fn softness(&self, other: &Self) -> ([f64; 2], [f64; 5]) {
-        let chosen = self.combined(other);
-        (chosen.solref, chosen.solimp)
-    }
-
     fn combined(&self, other: &Self) -> Self {
         if self.priority != other.priority {
             return if self.priority > other.priority { *self } else { *other };

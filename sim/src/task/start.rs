@@ -213,8 +213,10 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     ] {
         let found = list.len();
         if found != count && found != 0 {
-            let why = format!("`{key}` has {found} numbers, the robot has {count}");
-            return Err(refused(format!("start.keyframe: the {why}")));
+            let what = format!("start.keyframe: `{key}` of the keyframe `{name}`");
+            let why =
+                format!("has {found} numbers, the robot has {count}; correct it in the model");
+            return Err(refused(format!("{what} {why}, or name another keyframe")));
         }
     }
     let single = |list: &[f64]| list.iter().map(|number| *number as f32).collect::<Vec<_>>();
@@ -224,8 +226,10 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
         for first in robot.layout.quaternions() {
             let quaternion = &mut positions[first..first + 4];
             let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
-            if length > 0.0 {
-                quaternion.iter_mut().for_each(|q| *q /= length);
+            match length > 0.0 {
+                true => quaternion.iter_mut().for_each(|q| *q /= length),
+                // As in MuJoCo.
+                false => quaternion.copy_from_slice(&[1.0, 0.0, 0.0, 0.0]),
             }
         }
     }

@@ -67,7 +67,8 @@ fn read(
         stated: BTreeMap::new(),
         attributes: node
             .attributes()
-            .filter(|a| a.name() != "name" || !a.value().is_empty())
+            // As in MuJoCo, an empty value counts as none.
+            .filter(|a| !a.value().is_empty())
             .map(|a| (a.name().to_owned(), a.value().to_owned()))
             .collect(),
         children: Vec::new(),

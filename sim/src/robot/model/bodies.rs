@@ -1,10 +1,12 @@
 //! The tree of bodies as a list, and stated inertias.
 
+use rapier3d::math::Rotation;
+
 use super::super::blueprint::GroundPlan;
 use super::super::document::{Element, ORIENTATIONS, check_names, check_unique};
 use super::super::folder::Folder;
 use super::super::frame::{Frame, IDENTITY};
-use super::super::inertia::Solid;
+use super::super::inertia::{MassSum, Solid};
 use super::super::surface::Surface;
 use super::context::Context;
 use super::geoms::Geom;
@@ -190,6 +192,44 @@ pub(super) fn stated_inertia(body: &Body, options: &Options) -> Result<Option<So
         (Some((element, frame)), _) => read_inertial(element, frame, options).map(Some),
         (None, MassSource::Inertials) => Ok(Some(Solid::default())),
     }
+}
+
+/// Axes of the principal moments that a body states, in its frame; `None` if it states none.
+pub(super) fn stated_axes(body: &Body, options: &Options) -> Option<Rotation> {
+    let (element, frame) = body.inertial.as_ref().filter(|_| body.states_moments())?;
+    Some(frame.then(&options.angles.frame(element).ok()?).pose().rotation)
+}
+
+/// Mass, mass centre and inertia of a body in its frame: those that it states, or those of its shapes.
+pub(super) fn solid(
+    body: &Body,
+    context: &mut Context,
+    folder: &mut Folder<'_>,
+) -> Result<Solid, String> {
+    if let Some(stated) = stated_inertia(body, &context.options)? {
+        return Ok(stated);
+    }
+    let mut sum = MassSum::default();
+    for geom in body.geoms.iter().filter(|geom| geom.weighs() && !geom.is_plane()) {
+        let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
+        sum.add(&geom.solid(&shape, &pose, &context.meshes)?);
+    }
+    Ok(sum.solid())
+}
+
+/// Mass of the bodies that are fixed to the world and belong to no link, kg. Only `settotalmass` needs it: without it, 0.
+pub(super) fn fixed_mass(bodies: &[Body], context: &mut Context, folder: &mut Folder<'_>) -> f64 {
+    let is_shaped = |body: &Body| body.geoms.iter().any(|geom| !geom.is_plane());
+    let mut fixed = bodies.iter().skip(1).filter(|body| body.is_static);
+    let is_link = has_base(bodies) && fixed.clone().any(is_shaped);
+    if context.options.total_mass.is_none() || is_link {
+        return 0.0;
+    }
+    let least = context.options.least[0];
+    fixed.by_ref().fold(0.0, |sum, body| {
+        let own = solid(body, context, folder);
+        sum + context.blockers.keep(own).map_or(0.0, |own| own.mass.max(least))
+    })
 }
 
 fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<Solid, String> {

@@ -12,6 +12,8 @@ use super::context::Context;
 /// Of a pair; `gap` has no effect on the motion.
 const PAIR: [&str; 10] =
     ["name", "class", "geom1", "geom2", "condim", "friction", "solref", "solimp", "margin", "gap"];
+/// Friction of a pair that states none, as in MuJoCo: sliding, torsional and rolling; the last three in m.
+const FRICTION: [f64; 5] = [1.0, 1.0, 0.005, 0.0001, 0.0001];
 
 /// Names of all shapes in pairs.
 pub(super) fn paired(root: &Element) -> BTreeSet<String> {
@@ -65,42 +67,35 @@ fn pair(
 ) -> Result<PairPlan, String> {
     let element = context.classes.resolve(element, None)?;
     element.only(&[&PAIR])?;
-    let known: Vec<(usize, Surface, &str)> = (0..)
+    let known: Vec<(usize, &str)> = (0..)
         .zip(shapes)
-        .filter_map(|(index, (name, surface))| Some((index, (*surface)?, *name)))
+        .filter_map(|(index, (name, surface))| surface.map(|_| (index, *name)))
         .collect();
     let shape = |key: &str| {
-        let names = known.iter().map(|(.., name)| *name);
+        let names = known.iter().map(|(_, name)| *name);
         let found = context.index(&element, key, ("shape that can touch", names))?;
-        let (index, surface, _) = known[found];
-        Ok::<_, String>((index, surface))
+        Ok::<_, String>(known[found].0)
     };
-    let ((first, one), (second, other)) = (shape("geom1")?, shape("geom2")?);
-    let step_secs = context.options.timestep_secs;
-    let contact = one.contact(&other, &context.options.contacts.stated, step_secs);
+    let (first, second) = (shape("geom1")?, shape("geom2")?);
     Ok(PairPlan {
         shapes: [first.min(second), first.max(second)],
-        contact: stated(&element, contact, (&one, &other), step_secs)?,
+        contact: contact(&element, context)?,
     })
 }
 
-/// A contact of two shapes with the numbers that the pair states. Their margins do not count, as in MuJoCo.
-fn stated(
-    element: &Element,
-    contact: ContactPlan,
-    (one, other): (&Surface, &Surface),
-    step_secs: f64,
-) -> Result<ContactPlan, String> {
-    let (solref, solimp) = one.softness(other);
+/// The contact of a pair. What the pair does not state has MuJoCo's defaults; properties of the shapes do not count.
+fn contact(element: &Element, context: &Context) -> Result<ContactPlan, String> {
+    let (solref, solimp) = Softness::DEFAULT;
     let solref = element.padded("solref", solref)?;
     Softness::check("solref", solref).map_err(|reason| element.refuse(reason))?;
-    let dimensions = element.integer("condim", contact.dimensions as i64)?;
-    let friction = element.padded("friction", contact.friction)?;
+    let dimensions = element.integer("condim", 3)?;
+    let friction = element.padded("friction", FRICTION)?;
     let margin = element.number("margin", 0.0)?;
     if ![1, 3, 4, 6].contains(&dimensions) {
         return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
     }
-    let softness = Softness::new(solref, element.padded("solimp", solimp)?, step_secs);
+    let solimp = element.padded("solimp", solimp)?;
+    let softness = Softness::new(solref, solimp, context.options.timestep_secs);
     let plan =
         ContactPlan { dimensions: dimensions as usize, friction, margin: margin as f32, softness };
     Ok(plan.with_friction(1.0))

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::super::document::Element;
 use super::super::folder::Folder;
 use super::super::heights;
-use super::super::inertia::{MassSum, Solid};
+use super::super::inertia::Solid;
 use super::bodies::{self, Body};
 use super::context::Context;
 use super::geoms::Geom;
@@ -60,8 +60,9 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
     let mut rests = Vec::new();
     for (index, body) in bodies.iter().enumerate() {
         let shapes = kept_shapes(body, &mut context, folder, &mut hulls)?;
-        // Without a base, what is fixed to the world has no mass.
-        let weighs = index > 0 && (!body.is_static || bodies::has_base(&bodies));
+        // Without a base, the mass of what is fixed to the world matters for `settotalmass` alone.
+        let matters = bodies::has_base(&bodies) || context.options.total_mass.is_some();
+        let weighs = index > 0 && (!body.is_static || matters);
         let inertial = if weighs { inertia(body, &mut context, folder)? } else { None };
         rests.push(Rest { inertial, shapes });
     }
@@ -148,12 +149,7 @@ fn inertia(
     if !body.geoms.iter().any(|geom| geom.is_mesh() && weighs(&geom)) {
         return Ok(None);
     }
-    let mut sum = MassSum::default();
-    for geom in body.geoms.iter().filter(weighs) {
-        let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
-        sum.add(&geom.solid(&shape, &pose, &context.meshes)?);
-    }
-    Ok(Some(sum.solid()))
+    bodies::solid(body, context, folder).map(Some)
 }
 
 /// Keeps a shape of the first body that is fixed to the world and has shapes: the base has its name.

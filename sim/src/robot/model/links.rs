@@ -156,7 +156,8 @@ impl<'a> Links<'a> {
         let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
         let has_contacts = body.geoms.iter().any(Geom::collides);
         let only_weight = body.geoms.iter().filter(|geom| geom.weighs()).count() == 1;
-        let mut axes = None;
+        let stated = inertial.as_ref().and_then(|_| bodies::stated_axes(body, &context.options));
+        let (stated, mut axes) = (stated.map(|own| frame.rotation * own), None);
         let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {
             let weighs = inertial.is_none() && geom.weighs();
@@ -188,21 +189,20 @@ impl<'a> Links<'a> {
                 self.plans[link].shapes.push(plan);
             }
         }
+        let found = || sum(&solids).axes_from(frame.rotation);
+        let principal = stated.or(axes).unwrap_or_else(found);
         let empty = *frame * body.frame.pose();
         let solids = bounded(solids, &empty, context.options.least);
-        let mut own = MassSum::default();
-        for solid in &solids {
-            self.masses[link].add(solid);
-            own.add(solid);
-        }
+        solids.iter().for_each(|solid| self.masses[link].add(solid));
+        let own = sum(&solids);
         if own.mass > 0.0 {
-            let centre = vector(own.solid().centre);
+            let centre = vector(own.centre);
             let shapes = &mut self.plans[link].shapes[first_shape..];
             shapes.iter_mut().for_each(|shape| shape.mass_centre = centre);
             self.mass_centres[index] = centre;
-            self.plans[link].is_slider = lies_in_axes(body, &own.solid(), axes);
+            self.plans[link].is_slider = lies_in_axes(body, &own, axes);
             if body.geoms.iter().all(|geom| !geom.is_ellipsoid_in_fluid()) {
-                context.options.fluid.add(link, &own.solid(), axes);
+                context.options.fluid.add(link, &own, principal);
             }
             context.blockers.keep(self.carry(body, link));
         }
@@ -234,7 +234,8 @@ impl<'a> Links<'a> {
         let carried = self.carried[link].get_or_insert(body.carried);
         if *carried != body.carried {
             let reason = format!(
-                "`gravcomp` must be the same in all bodies of a link, another one has {carried}"
+                "`gravcomp` must be the same in all bodies of a link, another one has {carried}; set it on all, to the share \
+                 of their whole weight that is carried"
             );
             return Err(body.element.refuse(reason));
         }
@@ -242,9 +243,9 @@ impl<'a> Links<'a> {
         Ok(())
     }
 
-    /// Sets the links' mass properties.
-    pub(super) fn masses_to_links(&mut self, context: &Context) {
-        let sum: f64 = self.masses.iter().map(|sum| sum.mass).sum();
+    /// Sets the links' mass properties. `fixed_mass` is that of bodies without a link, kg.
+    pub(super) fn masses_to_links(&mut self, context: &Context, fixed_mass: f64) {
+        let sum = self.masses.iter().map(|sum| sum.mass).sum::<f64>() + fixed_mass;
         let factor = context.options.total_mass.map_or(1.0, |total| total / sum);
         let roots = self.plans.iter().filter(|plan| plan.parent.is_none() && !plan.is_base());
         let is_alone = self.plans.len() > 1 && roots.count() == 1;
@@ -263,6 +264,13 @@ impl<'a> Links<'a> {
             }
         }
     }
+}
+
+/// All parts as one.
+fn sum(solids: &[Solid]) -> Solid {
+    let mut sum = MassSum::default();
+    solids.iter().for_each(|solid| sum.add(solid));
+    sum.solid()
 }
 
 /// Whether MuJoCo's frame of the inertia of a body is the body's frame. `axes` are those of its only shape. Otherwise MuJoCo
@@ -298,9 +306,7 @@ fn bounded(solids: Vec<Solid>, empty: &Pose, [mass, inertia]: [f64; 2]) -> Vec<S
     if mass <= 0.0 && inertia <= 0.0 {
         return solids;
     }
-    let mut sum = MassSum::default();
-    solids.iter().for_each(|solid| sum.add(solid));
-    let whole = sum.solid();
+    let whole = sum(&solids);
     let enough = whole.mass >= mass && whole.principal_moments().iter().all(|own| *own >= inertia);
     if enough {
         return solids;

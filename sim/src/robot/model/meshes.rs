@@ -158,6 +158,10 @@ fn name_of(path: &str) -> &str {
 impl Asset {
     fn load(&self, files: &Files, folder: &mut Folder<'_>) -> Result<Mesh, String> {
         let element = &self.element;
+        if element.text("builtin").is_some() {
+            let reason = "`builtin` meshes are not supported; state a `file`, or use another shape";
+            return Err(element.refuse_for("builtin", reason));
+        }
         element.only(&[&KNOWN])?;
         let refused = |reason: String| element.refuse(reason);
         let mesh = match files.read(element, folder)? {

@@ -57,7 +57,10 @@ fn an_episode_starts_from_a_keyframe_in_the_models_own_coordinates() {
     let lost = wrong("hom", short).unwrap_err();
     assert!(lost.contains("no keyframe `hom`; did you mean `home`?"), "{lost}");
     let short = wrong("home", short).unwrap_err();
-    assert!(short.contains("`qpos` has 2 numbers, the robot has 5"), "{short}");
+    assert!(
+        short.contains("`qpos` of the keyframe `home` has 2 numbers, the robot has 5"),
+        "{short}"
+    );
     let fast = wrong("home", "<key name=\"home\" qvel=\"0 0 0 0 1000\"/>").unwrap_err();
     assert!(fast.contains("start.keyframe: the speed of `knee` is 1000, at most 999.9"), "{fast}");
 }

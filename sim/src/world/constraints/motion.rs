@@ -337,13 +337,10 @@ pub(super) fn move_joint(
     start: &LinkMotion,
     step_secs: f32,
 ) {
-    let count = match map.kind {
-        MapKind::Fixed => return,
-        MapKind::Ball => 3,
-        MapKind::Hinge { .. } => 1,
-        MapKind::Planar => 3,
-        MapKind::Free | MapKind::Floating => 6,
-    };
+    let (count, _) = map.kind.speeds();
+    if count == 0 {
+        return;
+    }
     let mut moved = [0.0; 6];
     let speeds = multibody.generalized_velocity();
     for (moved, speed) in moved[..count].iter_mut().zip(speeds.iter().skip(map.dof)) {
