@@ -211,18 +211,15 @@ fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 }
 
 fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
-    let count = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
-    let expected = count.and_then(|count| count.checked_mul(STL_TRIANGLE_BYTES));
-    let expected = expected.map(|size| size + STL_HEADER_BYTES);
-    if bytes.starts_with(b"solid") && expected != Some(bytes.len()) {
+    let count = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    let count = count.ok_or("an STL file has at least 84 bytes")? as usize;
+    let (needed, has) = (STL_HEADER_BYTES + STL_TRIANGLE_BYTES * count, bytes.len());
+    if needed != has && bytes.starts_with(b"solid") {
         return Err("it is an ASCII STL file; save it as a binary one".to_owned());
     }
-    let count = count.ok_or("a binary STL file has at least 84 bytes, it has less")?;
-    if expected != Some(bytes.len()) {
+    if needed != has {
         return Err(format!(
-            "it is not a binary STL file: {count} triangles need {} bytes, it has {}",
-            expected.unwrap_or(usize::MAX),
-            bytes.len()
+            "it is not a binary STL file: {count} triangles need {needed} bytes, it has {has}"
         ));
     }
     let number = |at: &[u8]| f64::from(f32::from_le_bytes([at[0], at[1], at[2], at[3]]));
@@ -383,18 +380,19 @@ mod tests {
         let reason = |path: &str, bytes: &[u8]| Mesh::read(path, bytes).unwrap_err();
         let mut cut = stl(&Mesh::read("cube.obj", CUBE.as_bytes()).unwrap());
         cut.pop();
-        assert!(reason("a.stl", &cut).contains("12 triangles need 684 bytes, it has 683"));
-        assert!(reason("a.stl", b"cube").contains("at least 84 bytes"));
-        assert!(reason("a.stl", b"solid cube").contains("save it as a binary one"));
-        assert!(reason("a.obj", b"version https://git-lfs.").contains("run `git lfs pull`"));
-        assert!(
-            reason("a.obj", b"v 0 0 0\nf 1 2 9\n")
-                .contains("a face names vertex 2; the last one is 1")
-        );
+        for (path, bytes, part) in [
+            ("a.stl", &cut[..], "12 triangles need 684 bytes, it has 683"),
+            ("a.stl", b"cube", "at least 84 bytes"),
+            ("a.stl", &[&b"solid cube"[..], &[b' '; 99]].concat(), "save it as a binary one"),
+            ("a.obj", b"version https://git-lfs.", "run `git lfs pull`"),
+            ("a.obj", b"v 0 0\n", "line 1 is invalid: v 0 0"),
+            ("a.obj", b"v 0 0 0\nf 1 2 9\n", "a face names vertex 2; the last one is 1"),
+            ("a.dae", b"", "not an STL, OBJ or MSH file"),
+        ] {
+            assert!(reason(path, bytes).contains(part), "{path}: {part}");
+        }
         let named = Mesh::new(vec![[0.0; 3]; 4], vec![[0, 1, 9]]).unwrap_err();
         assert_eq!(named, "a face names vertex 9; the last one is 3");
-        assert!(reason("a.obj", b"v 0 0\n").contains("line 1 is invalid: v 0 0"));
-        assert!(reason("a.dae", b"").contains("not an STL, OBJ or MSH file"));
         let flat = Mesh::read("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
         assert!(flat.hull().unwrap_err().contains("do not span a volume"));
     }
