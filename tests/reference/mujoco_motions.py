@@ -124,6 +124,8 @@ DRONE = """<mujoco>
 </mujoco>
 """
 STATED = '<inertial pos="0 0 0" mass="2" diaginertia="{}" euler="30 40 50"/><geom size=".1" contype="0" conaffinity="0"/>'
+FULL = '<frame euler="30 40 50"><inertial pos="0 0 0" mass="2" fullinertia="0.05 0.055 0.055 0 0 0.005"/></frame><geom size=".1"/>'
+BALLS_APART = '<geom size=".06" pos=".1 .07 .04"/><geom size=".06" pos="-.1 -.07 -.04"/>'
 TWO = '<geom type="cylinder" size=".05 .2" euler="30 40 50"/><geom size=".08" pos="0.05 0 0.02"/>'
 
 # An arm, or a free robot, beside what is fixed to the world and counts for `settotalmass`.
@@ -212,6 +214,8 @@ MOTIONS = {
        for moments in ("0.06 0.05 0.05", "0.05 0.05 0.05", "0.05 0.05 0.06", "0.04 0.05 0.06")},
     "a stated inertia in water": (
         DRONE.format(density="1000", parts=STATED.format("0.06 0.05 0.05")), [0.5, 0, 1, 2, -3, 4, 5], [0.3], 100),
+    **{f"{name} in water": (DRONE.format(density="1000", parts=parts), [0.5, 0, 1, 2, -3, 4, 5], [0.3], 100)
+       for name, parts in (("a full inertia", FULL), ("two balls", BALLS_APART))},
     "two shapes in water": (DRONE.format(density="1000", parts=TWO), [0.5, 0, 1, 2, -3, 4, 5], [0.3], 100),
     "a total mass with a table": (
         TOTAL.format(fixed='<body pos="3 0 .5"><geom type="box" size=".3 .3 .5" mass="20"/></body>',

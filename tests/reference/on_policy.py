@@ -9,7 +9,7 @@ from networks import RecurrentCritic
 
 
 class Update:
-    """All networks, and what one iteration's batch makes of them. Figures and arrays stand in `expected`."""
+    """All networks, and what one iteration's batch makes of them. Figures and arrays are in `expected`."""
 
     def __init__(self, case):
         self.settings, self.batch = case["settings"], case["batch"]

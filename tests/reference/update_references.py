@@ -257,7 +257,7 @@ def write(name, arrays):
     scalars = {f"settings/{key}": torch.tensor([float(value)]) for key, value in SETTINGS.items()}
     number = lambda array: array.to(torch.uint8) if array.dtype == torch.bool else array
     arrays = {key: number(array.detach()).clone().contiguous() for key, array in (arrays | scalars).items()}
-    # One entry: several would stand in another order each time.
+    # One entry: several would be in another order each time.
     save_file(arrays, FOLDER / f"{name}.safetensors", metadata={"torch": torch.__version__.split("+")[0]})
 
 

@@ -1,4 +1,4 @@
-//! Words and calls that must not stand in the project. Clippy's list (`clippy.toml`) sees types and so
+//! Words and calls that the project must not contain. Clippy's list (`clippy.toml`) sees types and so
 //! catches more; what is here also holds for text that clippy does not read.
 
 use crate::assert_none;
@@ -10,7 +10,7 @@ const PURE: [&str; 6] = ["kernels", "marl", "policy", "proto", "rollout", "sim"]
 /// Crates whose numbers reach the weights.
 const EXACT: [&str; 5] = ["kernels", "marl", "policy", "rollout", "sim"];
 
-/// A piece of code, the crates it must not stand in, and why.
+/// A piece of code, the crates that must not contain it, and why.
 type Ban = (&'static str, &'static [&'static str], &'static str);
 
 const BANS: [Ban; 15] = [
@@ -27,7 +27,7 @@ const BANS: [Ban; 15] = [
     ("std::process", &PURE, "no processes here"),
     ("println!(", &LIBRARIES, "return it, or log it with tracing"),
     ("dbg!(", &LIBRARIES, "left over"),
-    ("serde(default", &LIBRARIES, "a default stands in configs/base.toml and nowhere else"),
+    ("serde(default", &LIBRARIES, "a default is in configs/base.toml and nowhere else"),
     ("unimplemented!(", &LIBRARIES, "finish it or leave it out"),
 ];
 

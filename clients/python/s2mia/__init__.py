@@ -27,6 +27,7 @@ the simulator and `policies.py`, are needed only then.
 
 import importlib
 import importlib.util
+import sys
 from typing import TYPE_CHECKING, Any
 
 from s2mia.error import RunError
@@ -89,10 +90,10 @@ _MODULES = {
 }
 
 
-# What the package does not install, by the names that need it: without it they are left out of `help(s2mia)`.
+# Optional packages, by the names that need them. Without the package, `help(s2mia)` omits the name.
 _EXTRAS = {"Runs": "pandas", "runs": "pandas", "gym_env": "gymnasium", "parallel_env": "pettingzoo", "vector_env": "gymnasium"}
 for _name, _extra in _EXTRAS.items():
-    if importlib.util.find_spec(_extra) is None:
+    if _extra not in sys.modules and importlib.util.find_spec(_extra) is None:
         __all__.remove(_name)
 
 

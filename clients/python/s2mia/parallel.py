@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from s2mia.simulator import OneEnvironment, Simulator
+from s2mia.simulator import OneEnvironment, Simulator, demand_settings
 from s2mia.values import AgentSpec, Numbers, numbers
 
 try:
@@ -31,6 +31,7 @@ def parallel_env(
     same seed, which is `run.seed` unless it is given. Of the disturbances of a task, those of `"training"` act, those of
     `"evaluation"`, or none with `"off"`. Raises `ValueError` in one line if an argument is invalid.
     """
+    demand_settings(parallel_env, settings)
     return ParallelSimulator(Simulator(task, settings, seed, disturbances), render_mode)
 
 

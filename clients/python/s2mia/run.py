@@ -140,7 +140,7 @@ def is_run(path: pathlib.Path) -> bool:
 
 def folder_of(given: str | os.PathLike[str]) -> pathlib.Path:
     """The path of a folder with runs, where `~` is the home. Raises `ValueError` if it is no path."""
-    return pathlib.Path(text_of("the run", given, "the path of a run or folder")).expanduser()
+    return pathlib.Path(os.path.expanduser(text_of("the run", given, "the path of a run or folder")))
 
 
 def run_of(path: pathlib.Path) -> pathlib.Path:

@@ -14,7 +14,7 @@ def by_key(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def text_of(what: str, value: Any, meaning: str) -> str:
-    """A name or path as a text. Raises `ValueError` if `what` is neither, with what it means."""
+    """A name or path as a text. Raises `ValueError` for another value; the message calls it `what`, which is `meaning`."""
     try:
         text = os.fspath(value)
     except TypeError:

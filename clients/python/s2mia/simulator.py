@@ -2,10 +2,11 @@
 
 import copy
 import difflib
+import inspect
 import json
 import os
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,9 +22,8 @@ _REWARD = struct.Struct("<f")
 # A setting has 63 bits.
 _LARGEST_SEED = 2**63 - 1
 MOST_ENVIRONMENTS, MOST_THREADS = 65_536, 1024
-# Arguments that some environments have, and the settings without a section.
+# Arguments that some kinds of environments have.
 _ARGUMENTS = ("disturbances", "num_envs", "render_mode", "seed", "threads")
-_SETTINGS = ("algorithm", "preset", "task")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,6 @@ class Simulator:
     ) -> None:
         own = checked_seed(seed, _LARGEST_SEED)
         settings = by_key(settings)
-        _demand_settings(settings)
         if not isinstance(disturbances, str):
             raise ValueError(f"disturbances is {disturbances!r}; it is 'training', 'evaluation' or 'off'")
         if own is not None and settings.get("run.seed", own) != own:
@@ -95,13 +94,14 @@ class Simulator:
         return [whole("limit", one, 1, self.task.episode_steps) for one in np.broadcast_to(limits, self.num_envs)]
 
 
-def _demand_settings(keys: Iterable[str]) -> None:
-    """Raises `ValueError` for a keyword that is meant as an argument."""
-    for key in keys:
-        near = difflib.get_close_matches(key, _ARGUMENTS, 1) if "." not in key and key not in _SETTINGS else []
-        if near:
-            why = "this function has no such argument" if key in near else f"did you mean {near[0]!r}?"
-            raise ValueError(f"unknown argument {key!r}; {why}")
+def demand_settings(function: Callable[..., Any], settings: Mapping[str, Any]) -> None:
+    """Raises `ValueError` for a keyword that is meant as an argument of `function`, or is one of another kind."""
+    own = [name for name in inspect.signature(function).parameters if name in _ARGUMENTS]
+    for key in settings:
+        if key in _ARGUMENTS:
+            raise ValueError(f"{function.__name__} has no argument {key!r}; it has {', '.join(map(repr, own))}")
+        if near := difflib.get_close_matches(key, own, 1, 0.8):
+            raise ValueError(f"unknown argument {key!r}; did you mean {near[0]!r}?")
 
 
 class OneEnvironment:

@@ -8,7 +8,7 @@ import numpy as np
 
 from s2mia import _native
 from s2mia.settings import by_key, task_text
-from s2mia.simulator import OneEnvironment, Simulator
+from s2mia.simulator import OneEnvironment, Simulator, demand_settings
 from s2mia.values import Numbers, numbers
 
 try:
@@ -35,6 +35,7 @@ def gym_env(
     Its observation is the global state, and its action that of all agents, in their order. `task` may also be the name of a
     robot, such as `"ant"`, whose partition does not matter here. The other arguments are those of `s2mia.parallel_env`.
     """
+    demand_settings(gym_env, settings)
     for key in by_key(settings):
         if key in _WITHOUT_EFFECT:
             raise ValueError(f"{key} has no effect: the agent of gym_env observes the global state")

@@ -76,8 +76,8 @@ class Team(Acting):
             wire.AgentObservation(agent=agent, observation=wire.tensor(row[0])) for agent, row in rows.items()
         ]
         with self._turn:
-            answer = self._answer(wire.ActStep(reset=self._starts, observations=observations))
-            self._starts = False
+            starts, self._starts = self._starts, False
+            answer = self._answer(wire.ActStep(reset=starts, observations=observations))
             self.description = dataclasses.replace(self.description, **_weights(answer.weights))
         return {row.agent: wire.array(row.action)[None] for row in answer.actions}
 
@@ -87,8 +87,10 @@ class Team(Acting):
             try:
                 self._requests.put(wire.ActRequest(step=step))
                 answer = next(self._answers, None)
-            except KeyboardInterrupt:
-                # A later step would get the answer to this one.
+            except Exception:
+                raise
+            except BaseException:
+                # An interrupted call: a later step would get the answer to this one.
                 self.close()
                 raise
         if answer is None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from s2mia.simulator import Simulator
+from s2mia.simulator import Simulator, demand_settings
 from s2mia.values import Numbers, numbers
 
 try:
@@ -34,6 +34,7 @@ def vector_env(
     `threads` threads step them; no result depends on their number. Environment `i` starts episode `e` as environment `i` of
     a run with the same seed does. The other arguments are those of `s2mia.parallel_env`.
     """
+    demand_settings(vector_env, settings)
     return VectorSimulator(Simulator(task, settings, seed, disturbances, num_envs, threads))
 
 

@@ -25,12 +25,6 @@ pub struct ReplayDifference {
     pub found: String,
 }
 
-impl ReplayDifference {
-    fn of(self, episode_id: &str, step: u32) -> Self {
-        Self { episode_id: episode_id.to_owned(), step, ..self }
-    }
-}
-
 impl fmt::Display for ReplayDifference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { episode_id, step, what, logged, found } = self;
@@ -114,7 +108,7 @@ impl Player {
         Ok(self.compare_end(&share.end).map(|mismatch| mismatch.of(episode, share.next_step())))
     }
 
-    fn step(&mut self, logged: &LoggedStep) -> Result<Option<ReplayDifference>, String> {
+    fn step(&mut self, logged: &LoggedStep) -> Result<Option<Mismatch>, String> {
         let observations = logged.agents.iter().map(|agent| agent.observation.as_slice());
         if let Some(mismatch) = self.compare(&logged.step.state, observations) {
             return Ok(Some(mismatch));
@@ -135,7 +129,7 @@ impl Player {
     }
 
     /// Compares the state after the last step of a share.
-    fn compare_end(&mut self, end: &ShareEnd) -> Option<ReplayDifference> {
+    fn compare_end(&mut self, end: &ShareEnd) -> Option<Mismatch> {
         let observations = end.observations.iter().map(|row| row.observation.as_slice());
         self.compare(&end.state, observations).or_else(|| {
             let logged = &end.environment_state;
@@ -150,7 +144,7 @@ impl Player {
         &mut self,
         state: &[f32],
         observations: impl ExactSizeIterator<Item = &'a [f32]>,
-    ) -> Option<ReplayDifference> {
+    ) -> Option<Mismatch> {
         self.world.state(0, &mut self.state);
         let name = |index: usize| {
             let feature = &self.world.description().state[index].name;
@@ -177,29 +171,41 @@ impl Player {
     }
 }
 
+/// A difference without its episode and step.
+struct Mismatch {
+    what: String,
+    logged: String,
+    found: String,
+}
+
+impl Mismatch {
+    fn of(self, episode_id: &str, step: u32) -> ReplayDifference {
+        let Self { what, logged, found } = self;
+        ReplayDifference { episode_id: episode_id.to_owned(), step, what, logged, found }
+    }
+}
+
 /// First pair of numbers with different bits.
 fn numbers(
     what: &str,
     logged: &[f32],
     found: &[f32],
     name: impl Fn(usize) -> String,
-) -> Option<ReplayDifference> {
+) -> Option<Mismatch> {
     value(&format!("the length of {what}"), logged.len(), found.len()).or_else(|| {
         let at = logged.iter().zip(found).position(|(a, b)| a.to_bits() != b.to_bits())?;
         number(&name(at), logged[at], found[at])
     })
 }
 
-fn number(what: &str, logged: f32, found: f32) -> Option<ReplayDifference> {
+fn number(what: &str, logged: f32, found: f32) -> Option<Mismatch> {
     (logged.to_bits() != found.to_bits()).then(|| mismatch(what, &logged, &found))
 }
 
-fn value<T: PartialEq + Debug>(what: &str, logged: T, found: T) -> Option<ReplayDifference> {
+fn value<T: PartialEq + Debug>(what: &str, logged: T, found: T) -> Option<Mismatch> {
     (logged != found).then(|| mismatch(what, &logged, &found))
 }
 
-/// A difference without its episode and step.
-fn mismatch(what: &str, logged: &dyn Debug, found: &dyn Debug) -> ReplayDifference {
-    let (logged, found) = (format!("{logged:?}"), format!("{found:?}"));
-    ReplayDifference { episode_id: String::new(), step: 0, what: what.to_owned(), logged, found }
+fn mismatch(what: &str, logged: &dyn Debug, found: &dyn Debug) -> Mismatch {
+    Mismatch { what: what.to_owned(), logged: format!("{logged:?}"), found: format!("{found:?}") }
 }

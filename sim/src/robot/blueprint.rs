@@ -1,4 +1,4 @@
-//! Description of a robot's world, independent of file formats: links, joints, motors, what stands in the world.
+//! Description of a robot's world, independent of file formats: links, joints, motors, what the world contains.
 
 mod contacts;
 
@@ -224,7 +224,7 @@ pub(crate) struct MotorPlan {
     pub(crate) range: [f32; 2],
     /// `None` if the force is the control.
     pub(crate) servo: Option<Servo>,
-    /// What stands in place of the control in the force, if it has a state of its own.
+    /// What replaces the control in the force, if it has a state of its own.
     pub(crate) activation: Option<Activation>,
 }
 

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 /// Largest file of a model, bytes.
 const LARGEST_FILE: usize = 64 << 20;
+/// Start of a file that Git LFS has not fetched.
+const LFS_POINTER: &[u8] = b"version https://git-lfs";
 /// Largest MJCF file, bytes: a parsed file takes many times its size.
 const LARGEST_DOCUMENT: usize = 4 << 20;
 /// Most bytes of all files, each counted as often as it is named.
@@ -128,6 +130,11 @@ impl<'a> Folder<'a> {
             Some(bytes) => bytes.clone(),
             None => (self.source)(path)?,
         };
+        if bytes.starts_with(LFS_POINTER) {
+            return Err(format!(
+                "{path} is a pointer of Git LFS, not the file; run `git lfs pull`"
+            ));
+        }
         if bytes.len() > LARGEST_FILE {
             return Err(format!("{path} has more than {LARGEST_FILE} bytes"));
         }
@@ -198,6 +205,15 @@ mod tests {
             "d.xml does not exist, and beside the file that names it: b/d.xml does not exist";
         assert_eq!(read("", "d.xml").unwrap_err(), both);
         assert_eq!(read("m", "c.xml").unwrap_err(), "m/c.xml does not exist");
+    }
+
+    #[test]
+    fn a_file_that_git_lfs_has_not_fetched_is_named_with_what_to_do() {
+        let source = |_: &str| Ok(b"version https://git-lfs.github.com/spec/v1\noid".to_vec());
+        let mut folder = Folder::new("robot.xml", &source).unwrap();
+        let refused = "is a pointer of Git LFS, not the file; run `git lfs pull`";
+        assert_eq!(folder.read("", "a.stl", None).unwrap_err(), format!("a.stl {refused}"));
+        assert_eq!(folder.document().unwrap_err(), format!("robot.xml {refused}"));
     }
 
     #[test]

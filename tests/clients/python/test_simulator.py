@@ -137,7 +137,7 @@ def test_a_copy_of_an_environment_of_a_task_file_can_be_made_in_another_folder(m
     [
         (s2mia.vector_env, {"thread": 2}, "unknown argument 'thread'; did you mean 'threads'?"),
         (s2mia.parallel_env, {"disturbance": "off"}, "unknown argument 'disturbance'; did you mean 'disturbances'?"),
-        (s2mia.parallel_env, {"num_envs": 3}, "unknown argument 'num_envs'; this function has no such argument"),
+        (s2mia.parallel_env, {"num_envs": 3}, "parallel_env has no argument 'num_envs'; it has 'seed', 'render_mode', 'disturbances'"),
         (s2mia.gym_env, {"disturbances": None}, "disturbances is None; it is 'training', 'evaluation' or 'off'"),
         (s2mia.gym_env, {"task": 3}, "task is 3; it is a name or the path of a task file"),
         (s2mia.parallel_env, {"task": b"cue-2x1"}, "task is b'cue-2x1'; it is a name or the path of a task file"),

@@ -13,6 +13,21 @@ use super::{Element, Place, start};
 const DEEPEST_ELEMENT: usize = 200;
 /// Nesting depth of included files.
 const DEEPEST_INCLUDE: usize = 8;
+/// Attributes that, as in MuJoCo, count as absent if they are empty.
+const EMPTY_IS_NONE: [&str; 12] = [
+    "name",
+    "body1",
+    "body2",
+    "joint1",
+    "joint2",
+    "site1",
+    "site2",
+    "axisangle",
+    "euler",
+    "quat",
+    "xyaxes",
+    "zaxis",
+];
 const ROOT_END: &str = "</mujoco>";
 /// Most nodes of a file: elements, comments and texts between them.
 const MOST_NODES: u32 = 200_000;
@@ -67,8 +82,7 @@ fn read(
         stated: BTreeMap::new(),
         attributes: node
             .attributes()
-            // As in MuJoCo, an empty value counts as none.
-            .filter(|a| !a.value().is_empty())
+            .filter(|a| !a.value().is_empty() || !EMPTY_IS_NONE.contains(&a.name()))
             .map(|a| (a.name().to_owned(), a.value().to_owned()))
             .collect(),
         children: Vec::new(),

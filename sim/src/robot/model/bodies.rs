@@ -1,4 +1,4 @@
-//! The tree of bodies as a list, and stated inertias.
+//! The tree of bodies as a list, and their masses.
 
 use rapier3d::math::Rotation;
 
@@ -194,9 +194,9 @@ pub(super) fn stated_inertia(body: &Body, options: &Options) -> Result<Option<So
     }
 }
 
-/// Axes of the principal moments that a body states, in its frame; `None` if it states none.
+/// Axes in which a body states its inertia, in its frame; `None` if it states none.
 pub(super) fn stated_axes(body: &Body, options: &Options) -> Option<Rotation> {
-    let (element, frame) = body.inertial.as_ref().filter(|_| body.states_moments())?;
+    let (element, frame) = body.inertial.as_ref()?;
     Some(frame.then(&options.angles.frame(element).ok()?).pose().rotation)
 }
 
@@ -210,7 +210,7 @@ pub(super) fn solid(
         return Ok(stated);
     }
     let mut sum = MassSum::default();
-    for geom in body.geoms.iter().filter(|geom| geom.weighs() && !geom.is_plane()) {
+    for geom in body.geoms.iter().filter(|geom| geom.weighs() && !geom.is_ground()) {
         let (shape, pose) = geom.shape(&mut context.meshes, folder)?;
         sum.add(&geom.solid(&shape, &pose, &context.meshes)?);
     }
@@ -219,14 +219,20 @@ pub(super) fn solid(
 
 /// Mass of the bodies that are fixed to the world and belong to no link, kg. Only `settotalmass` needs it: without it, 0.
 pub(super) fn fixed_mass(bodies: &[Body], context: &mut Context, folder: &mut Folder<'_>) -> f64 {
-    let is_shaped = |body: &Body| body.geoms.iter().any(|geom| !geom.is_plane());
-    let mut fixed = bodies.iter().skip(1).filter(|body| body.is_static);
-    let is_link = has_base(bodies) && fixed.clone().any(is_shaped);
-    if context.options.total_mass.is_none() || is_link {
+    if context.options.total_mass.is_none() {
+        return 0.0;
+    }
+    let fixed = bodies.iter().skip(1).filter(|body| body.is_static);
+    let shapes = fixed.clone().flat_map(|body| &body.geoms);
+    for field in shapes.clone().filter(|geom| geom.is_field() && geom.weighs()) {
+        let reason = "its mass would count for `settotalmass`: set mass=\"0\"";
+        context.blockers.note(field.element.refuse(reason));
+    }
+    if has_base(bodies) && shapes.clone().any(|geom| !geom.is_ground()) {
         return 0.0;
     }
     let least = context.options.least[0];
-    fixed.by_ref().fold(0.0, |sum, body| {
+    fixed.fold(0.0, |sum, body| {
         let own = solid(body, context, folder);
         sum + context.blockers.keep(own).map_or(0.0, |own| own.mass.max(least))
     })
@@ -275,7 +281,7 @@ pub(super) fn has_base(bodies: &[Body]) -> bool {
     !bodies.iter().any(|body| body.joints.iter().any(joints::is_free))
 }
 
-/// Removes planes, the world's shapes and, without a base, those of bodies that are fixed to the world from the bodies.
+/// Removes planes, height fields, the world's shapes and, without a base, those of bodies that are fixed to the world from the bodies.
 /// Returns those that something can touch.
 pub(super) fn take_grounds(
     bodies: &mut [Body],
@@ -283,12 +289,16 @@ pub(super) fn take_grounds(
     folder: &mut Folder<'_>,
 ) -> Vec<GroundPlan> {
     let (has_base, has_contacts) = (has_base(bodies), context.options.has_contacts);
-    let moving = bodies.iter().filter(|body| !body.is_static).flat_map(|body| &body.geoms);
-    for plane in moving.clone().filter(|geom| geom.is_plane()) {
-        let reason = "a plane must be fixed to the world: move it there, or use a box";
-        context.blockers.note(plane.element.refuse(reason));
+    let mut moving: Vec<Surface> = Vec::new();
+    for body in bodies.iter_mut().filter(|body| !body.is_static) {
+        for ground in body.geoms.iter().filter(|geom| geom.is_ground()) {
+            let what = if ground.is_field() { "a height field" } else { "a plane" };
+            let reason = format!("{what} must be fixed to the world: move it there, or use a box");
+            context.blockers.note(ground.element.refuse(reason));
+            body.is_whole = false;
+        }
+        moving.extend(body.geoms.iter().map(|geom| geom.surface));
     }
-    let moving: Vec<Surface> = moving.map(|geom| geom.surface).collect();
     let (mut grounds, mut frames) = (Vec::new(), Vec::new());
     let mut fields = 0;
     for (index, body) in bodies.iter_mut().enumerate() {
@@ -297,10 +307,11 @@ pub(super) fn take_grounds(
         let is_taken = index == 0 || (body.is_static && !has_base);
         let (taken, kept): (Vec<Geom>, Vec<Geom>) = std::mem::take(&mut body.geoms)
             .into_iter()
-            .partition(|geom| is_taken || geom.is_plane());
+            .partition(|geom| is_taken || geom.is_ground());
         body.geoms = kept;
         let touched = |geom: &&Geom| geom.meets(&moving);
-        for geom in taken.iter().filter(|_| has_contacts).filter(touched) {
+        let is_used = has_contacts && body.is_static;
+        for geom in taken.iter().filter(|_| is_used).filter(touched) {
             fields += usize::from(geom.is_field());
             if geom.is_field() && fields > MOST_FIELDS {
                 let reason = format!("a world may have {MOST_FIELDS} height fields; remove others");

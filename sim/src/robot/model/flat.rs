@@ -145,7 +145,7 @@ fn inertia(
     folder: &mut Folder<'_>,
 ) -> Result<Option<Solid>, String> {
     let is_stated = bodies::stated_inertia(body, &context.options)?.is_some();
-    let weighs = |geom: &&Geom| !is_stated && geom.weighs() && !geom.is_plane();
+    let weighs = |geom: &&Geom| !is_stated && geom.weighs() && !geom.is_ground();
     if !body.geoms.iter().any(|geom| geom.is_mesh() && weighs(&geom)) {
         return Ok(None);
     }
@@ -154,12 +154,12 @@ fn inertia(
 
 /// Keeps a shape of the first body that is fixed to the world and has shapes: the base has its name.
 fn mark_base(bodies: &[Body], rests: &mut [Rest], hulls: &mut Hulls) {
-    let shaped = |body: &&Body| body.is_static && body.geoms.iter().any(|geom| !geom.is_plane());
+    let shaped = |body: &&Body| body.is_static && body.geoms.iter().any(|geom| !geom.is_ground());
     let Some(index) = bodies.iter().skip(1).position(|body| shaped(&body)) else { return };
     let (body, rest) = (&bodies[index + 1], &mut rests[index + 1]);
-    let planes = body.geoms.iter().map(Geom::is_plane);
-    let stays = |(kept, is_plane): (&Kept, bool)| *kept != Kept::Nothing && !is_plane;
-    if !bodies::has_base(bodies) || rest.shapes.iter().zip(planes).any(stays) {
+    let grounds = body.geoms.iter().map(Geom::is_ground);
+    let stays = |(kept, is_ground): (&Kept, bool)| *kept != Kept::Nothing && !is_ground;
+    if !bodies::has_base(bodies) || rest.shapes.iter().zip(grounds).any(stays) {
         return;
     }
     let first = rest.shapes.iter().position(|kept| *kept == Kept::Nothing);

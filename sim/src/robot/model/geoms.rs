@@ -111,6 +111,11 @@ impl Geom {
         self.kind() == "hfield"
     }
 
+    /// Whether it must be fixed to the world: a plane or a height field.
+    pub(super) fn is_ground(&self) -> bool {
+        self.is_plane() || self.is_field()
+    }
+
     fn kind(&self) -> &str {
         self.element.text("type").unwrap_or("sphere")
     }
@@ -135,11 +140,6 @@ impl Geom {
             "sphere" => (1, 1),
             "capsule" | "cylinder" => (2, 1),
             "box" | "ellipsoid" => (3, 1),
-            "hfield" => {
-                let reason =
-                    "a height field must be fixed to the world: move it there, or use a mesh";
-                return Err(element.refuse_for("type", reason));
-            }
             kind => {
                 let reason = format!("the type `{kind}` is not supported; use a box or a mesh");
                 return Err(element.refuse_for("type", reason));

@@ -189,8 +189,8 @@ impl<'a> Links<'a> {
                 self.plans[link].shapes.push(plan);
             }
         }
-        let found = || sum(&solids).axes_from(frame.rotation);
-        let principal = stated.or(axes).unwrap_or_else(found);
+        let found = || sum(&solids).axes_from(stated.unwrap_or(frame.rotation));
+        let principal = stated.filter(|_| body.states_moments()).or(axes).unwrap_or_else(found);
         let empty = *frame * body.frame.pose();
         let solids = bounded(solids, &empty, context.options.least);
         solids.iter().for_each(|solid| self.masses[link].add(solid));
