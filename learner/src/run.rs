@@ -133,7 +133,7 @@ async fn notify_actors(exchange: &Exchange) {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    // Actors that do not ask again find a closed connection and exit as well.
+    // Others find a closed connection, and end with status 1 when their outage has lasted too long.
     let _timeout = tokio::time::timeout(NOTIFYING, disconnected).await;
 }
 

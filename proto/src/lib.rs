@@ -53,6 +53,7 @@ pub use refusal::{Reason, Refusal, in_words};
 pub use returned::{LeaseFailure, ReturnedLease};
 pub use run::RunDescription;
 pub use status::{LeaseStatus, LeasedWork, Status};
+pub use tensor::MAX_MAGNITUDE;
 pub use trajectory::{AgentChunk, EvaluationResult, FinalStep, SlotEnd, TrajectoryChunk};
 pub use work::{
     EnvironmentStart, EvaluationWork, Lease, RolloutOrigin, RolloutWork, Start, WeightsName, Work,

@@ -8,7 +8,7 @@ use crate::{Reason, Refusal, wire};
 
 /// Largest accepted magnitude of a float. Squares and sums of such values stay finite in `f32`; physical
 /// quantities are far smaller.
-pub(crate) const MAX_MAGNITUDE: f32 = 1e9;
+pub const MAX_MAGNITUDE: f32 = 1e9;
 
 /// Refusal of `value`, which is not finite or exceeds `limit`; `what` begins the detail.
 pub(crate) fn unusable<F>(field: &str, what: &str, value: F, limit: F) -> Refusal

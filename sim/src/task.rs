@@ -16,8 +16,8 @@ use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
 use actions::control_ranges;
-use definition::refused;
 pub(crate) use definition::{Audience, TaskFile};
+use definition::{check_repeats, refused};
 pub(crate) use disturbance::DrawnEpisode;
 use names::Names;
 pub(crate) use rules::Rules;
@@ -126,7 +126,7 @@ impl TaskConfig {
     /// Weight of a reward term in the task's file.
     ///
     /// # Errors
-    /// If there is no such task, or it has no reward term of this name, or several.
+    /// If there is no such task, or it has no reward term of this name.
     pub fn weight_in_file(&self, term: &str) -> Result<f32, SimError> {
         own_file(self)?.0.weight_mut(term).copied()
     }
@@ -314,6 +314,8 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     if edges.iter().any(|edge| edge.len() < 2) {
         return Err(refused("neighbourhood.edges: an edge needs at least two joints; add one"));
     }
+    edges.iter().try_for_each(|edge| check_repeats("neighbourhood.edges", edge))?;
+    check_repeats("neighbourhood.globals", globals)?;
     let near = edges.iter().flatten().map(|joint| ("neighbourhood.edges", joint));
     let touching_joints = touching.iter().map(|row| ("neighbourhood.touching.joint", &row.joint));
     let stated = near.chain(touching_joints).map(|(key, joint)| (key, joint.as_str()));

@@ -1,33 +1,26 @@
 //! `s2mia tasks` and `s2mia task`: lists the tasks that can be trained, checks a task file, or writes an example of one.
 
 mod new;
+mod trial;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
 use clap::{Args, Subcommand};
-use policy::randomness::uniform;
-use policy::{Draw, DrawKey, Purpose, RunSeed};
 use proto::EnvironmentSpec;
 use serde_json::json;
-use sim::{Actuator, EnvironmentBatch, Outcome, Pose, Robot, Torque};
+use sim::{Actuator, EnvironmentBatch, Robot, Torque};
 
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::film::{self, RobotShapes, TimedPose, ViewDirection};
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, shell};
 
-/// Seed of the random actions.
-const SEED: RunSeed = RunSeed(0);
+use trial::Trial;
 
 /// Episodes of random actions, and the time after which no further step is played, unless a number of episodes is given.
 const EPISODES: u32 = 20;
 const LONGEST: Duration = Duration::from_secs(30);
-
-/// Pictures of a film.
-const FRAMES: usize = 8;
 
 /// `s2mia tasks`
 #[derive(Args, Debug)]
@@ -244,145 +237,4 @@ fn motor(actuator: &Actuator<'_>, newtons: &str) -> String {
         false => format!(" ({})", actuator.name),
     };
     format!("{kind}, control {low} to {high}{name}")
-}
-
-/// What happens under random actions.
-#[derive(Default)]
-struct Trial {
-    /// Episodes that began.
-    episodes: u32,
-    /// Whether the last episode has no end, because the time was over.
-    is_cut: bool,
-    steps: u64,
-    total: f64,
-    terminated: u32,
-    faults: u32,
-    /// Largest velocity, m/s or rad/s, and its name.
-    fastest: (f32, String),
-    /// The shapes of the first episode; `None` for a game.
-    robot: Option<RobotShapes>,
-    /// Poses of the first episode.
-    poses: Vec<Pose>,
-}
-
-impl Trial {
-    /// Plays up to `count` episodes, until `is_late`.
-    fn play_all(
-        &mut self,
-        world: &mut dyn EnvironmentBatch,
-        count: u32,
-        is_late: &dyn Fn() -> bool,
-    ) -> anyhow::Result<()> {
-        for episode in 0..count {
-            self.play(world, episode, is_late)?;
-            if self.is_cut {
-                break;
-            }
-        }
-        Ok(())
-    }
-
-    /// Plays an episode with uniformly distributed actions, at least a step of it, until `is_late`.
-    fn play(
-        &mut self,
-        world: &mut dyn EnvironmentBatch,
-        episode: u32,
-        is_late: &dyn Fn() -> bool,
-    ) -> anyhow::Result<()> {
-        self.episodes += 1;
-        let limit = world.description().episode_steps;
-        let start = Draw::of(Purpose::EvaluationReset).iteration(episode.into());
-        world.reset(0, 0, limit, DrawKey::of(SEED, start).0)?;
-        if episode == 0 {
-            self.robot = RobotShapes::of(world);
-        }
-        let mut outcome = [Outcome::default()];
-        for step in 0.. {
-            if episode == 0 {
-                self.poses.push(world.pose(0));
-            }
-            let action = random_action(world, episode, step);
-            world.step(&action, &mut outcome)?;
-            self.steps += 1;
-            self.total += f64::from(outcome[0].reward);
-            self.note_speed(world);
-            if outcome[0].is_end() {
-                break;
-            }
-            if is_late() {
-                self.is_cut = true;
-                break;
-            }
-        }
-        self.terminated += u32::from(outcome[0].terminated);
-        self.faults += u32::from(outcome[0].fault);
-        Ok(())
-    }
-
-    fn note_speed(&mut self, world: &dyn EnvironmentBatch) {
-        let Some(world) = world.world(0) else { return };
-        let mut velocities = vec![0.0; world.robot().velocity_names().len()];
-        world.velocities(&mut velocities);
-        for (velocity, name) in velocities.into_iter().zip(world.robot().velocity_names()) {
-            if velocity.abs() > self.fastest.0 {
-                self.fastest = (velocity.abs(), name.clone());
-            }
-        }
-    }
-
-    fn summary(&self) -> String {
-        let episodes = self.episodes;
-        let mean = |sum: f64| sum / f64::from(episodes);
-        format!(
-            "{episodes} episodes of random actions: mean length {:.1} steps, mean return {:.1}, {} ended by the task's \
-             rules, {} by a physics fault; largest speed {:.1} ({})",
-            mean(self.steps as f64),
-            mean(self.total),
-            self.terminated,
-            self.faults,
-            self.fastest.0,
-            self.fastest.1,
-        )
-    }
-
-    /// Pictures of the first episode at equal distances.
-    fn film(&self, world: &dyn EnvironmentBatch) -> anyhow::Result<Vec<u8>> {
-        let robot = self.robot.as_ref().context("only robots can be drawn")?;
-        let dt_secs = world.description().dt_secs;
-        let count = FRAMES.min(self.poses.len());
-        let frame = |picture: usize| {
-            let step = picture * (self.poses.len() - 1) / count.saturating_sub(1).max(1);
-            TimedPose { time_secs: step as f64 * dt_secs, pose: &self.poses[step] }
-        };
-        film::strip(robot, &(0..count).map(frame).collect::<Vec<_>>(), ViewDirection::Side)
-    }
-}
-
-/// Actions of all agents, uniform in their ranges, `[A]`.
-fn random_action(world: &dyn EnvironmentBatch, episode: u32, step: u32) -> Vec<f32> {
-    let agents = (0..).zip(&world.description().agents);
-    let draw = |(number, agent): (u32, &proto::AgentSpec)| {
-        let key = Draw::of_action(0, episode, step, number);
-        let mut rng = DrawKey::of(SEED, key).generator();
-        let range = agent.action.low..agent.action.high;
-        let width = range.end - range.start;
-        (0..agent.action.size).map(|_| range.start + width * uniform(&mut rng)).collect::<Vec<_>>()
-    };
-    agents.flat_map(draw).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn episodes_stop_in_a_step_after_which_the_time_is_over() {
-        let mut world = world("walker2d-2x3").unwrap();
-        let mut trial = Trial::default();
-        trial.play_all(&mut *world, 20, &|| true).unwrap();
-        assert_eq!((trial.episodes, trial.steps, trial.is_cut), (1, 1, true));
-        let mut trial = Trial::default();
-        trial.play_all(&mut *world, 2, &|| false).unwrap();
-        assert_eq!((trial.episodes, trial.is_cut), (2, false));
-    }
 }

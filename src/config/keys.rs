@@ -53,7 +53,8 @@ const WEIGHTS: &str = "reward.";
 /// The reward term whose weight `key` is; `None` for other keys.
 pub(crate) fn weighted_term(key: &str) -> Option<&str> {
     let is_name = |term: &&str| {
-        !term.is_empty() && term.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_')
+        let is_part = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'_';
+        !term.is_empty() && term.bytes().all(is_part)
     };
     key.strip_prefix(WEIGHTS).filter(is_name)
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::runs::{Runs, inspect, refused, succeeded, text, train, weights};
+use crate::runs::{Runs, inspect, refused, s2mia, succeeded, text, told, train, weights};
 
 /// Writes the example into a new folder and returns the path of its task file.
 fn example(runs: &Runs) -> std::path::PathBuf {
@@ -177,6 +177,17 @@ fn a_check_warns_of_a_motor_that_cannot_be_explored() {
     let warnings: Vec<&str> = told.lines().filter(|line| line.starts_with("warning: ")).collect();
     let why = "the motor of `hip` has gear 0, so its control moves nothing: set `gear`";
     assert_eq!(warnings, [format!("warning: {why}")], "{told}");
+}
+
+#[test]
+fn a_check_refuses_rewards_that_no_learner_accepts_with_the_largest_term() {
+    let runs = Runs::new();
+    let task = example(&runs);
+    let valid = std::fs::read_to_string(&task).unwrap();
+    std::fs::write(&task, valid.replacen("weight = 1e-3", "weight = 1e9", 1)).unwrap();
+    let (status, told) = told(s2mia(&["task", "check", text(&task)]));
+    let why = "at most 1e9 is allowed; lower the weight of `control`, which gives -1";
+    assert!(status == Some(1) && told.contains(why), "{told}");
 }
 
 #[test]

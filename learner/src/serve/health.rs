@@ -113,7 +113,7 @@ fn timed_out(url: &str, timeout: Duration) -> HealthError {
 
 /// The error for a failed call: rejected by the learner at `url`, or lost in transit.
 pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
-    let detail = explanation(status);
+    let detail = explanation(url, status);
     match status.code() {
         Code::InvalidArgument
         | Code::FailedPrecondition
@@ -125,7 +125,9 @@ pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
 }
 
 /// Why a call failed: the learner's message, or the cause of a broken connection.
-fn explanation(status: &Status) -> String {
+fn explanation(url: &str, status: &Status) -> String {
+    const REFUSED: &str = "it closed the connection: it does not accept this client certificate, whose authority must be that of its \
+                           --tls-client-ca, or does not speak gRPC";
     const BROKEN: &str = "it closed the connection or does not speak gRPC; if it requires TLS, pass --tls-ca, \
                           --tls-certificate and --tls-key, and use https:// in the URL";
     /// What tonic says of an HTTP answer that is none of gRPC.
@@ -138,7 +140,7 @@ fn explanation(status: &Status) -> String {
     let is_lost = status.source().is_some() || said.is_empty() || said.starts_with(NOT_GRPC);
     let is_vague = matches!(status.code(), Code::Cancelled | Code::Unknown);
     if said.starts_with("h2 protocol error") || is_vague && is_lost {
-        return BROKEN.to_owned();
+        return if url.starts_with("https://") { REFUSED } else { BROKEN }.to_owned();
     }
     proto::in_words(status)
 }

@@ -12,6 +12,10 @@ use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
 use crate::robot::{JointMap, MapKind, Orientation, Place, PlaceMotion, Robot};
 
+/// A planar root, as messages describe it.
+pub(super) const PLANAR_ROOT: &str =
+    "planar root (slides along x and z and a hinge about y, in this order, on which nothing acts)";
+
 /// Largest target, m/s or rad/s.
 const FASTEST_COMMAND: f32 = 100.0;
 
@@ -96,7 +100,7 @@ impl Follower {
             {
                 Self::Planar(velocity)
             }
-            _ => return Err(refused(format!("{place} needs a robot with a free or planar root"))),
+            _ => return Err(refused(format!("{place} needs a free root or a {PLANAR_ROOT}"))),
         };
         let turns = components.iter().find(|(heading, _)| *heading != Heading::Forward);
         if let (Self::Planar(_), Some((heading, _))) = (&follower, turns) {

@@ -9,6 +9,7 @@ use super::body_terms::Goal;
 use super::command::{CommandRow, Heading};
 use super::disturbance::DisturbanceRow;
 use super::relations::{RelationRow, WorldAxis};
+use super::rules::term_names;
 use super::start::StartRow;
 use crate::arrays;
 use crate::error::{SimError, short};
@@ -268,18 +269,16 @@ impl TaskFile {
     /// The weight of the reward term or cost `term`.
     ///
     /// # Errors
-    /// If the file has no term of this name, or several.
+    /// If the file has no term of this name.
     pub(crate) fn weight_mut(&mut self, term: &str) -> Result<&mut f32, SimError> {
-        let rows = || self.reward.iter().chain(&self.cost).map(|row| row.term.word());
-        let choice = spelling::choice(term, rows());
-        let refuse = |why: String| Err(refused(format!("reward.{term}: {why}")));
-        match rows().filter(|word| *word == term).count() {
-            0 => refuse(format!("the task has no such term; {choice}")),
-            1 => {
-                let mut rows = self.reward.iter_mut().chain(&mut self.cost);
-                Ok(&mut rows.find(|row| row.term.word() == term).expect("counted").weight)
+        let names = term_names(self);
+        let rows = self.reward.iter_mut().chain(&mut self.cost).zip(&names);
+        match rows.filter(|(_, name)| *name == term).last() {
+            Some((row, _)) => Ok(&mut row.weight),
+            None => {
+                let choice = spelling::choice(term, names.iter().map(String::as_str));
+                Err(refused(format!("reward.{term}: the task has no such term; {choice}")))
             }
-            _ => refuse("the task has several such terms; change them in a task file".to_owned()),
         }
     }
 
@@ -356,9 +355,16 @@ fn whole(key: &str, value: u32) -> Result<(), SimError> {
 }
 
 /// Names of types in messages of the TOML library, and what to write instead.
-const TYPES: [(&str, &str); 2] = [
+const TYPES: [(&str, &str); 6] = [
     ("expected f32", "expected a number"),
-    ("wanted string or table", "expected a word or a table, such as { uniform = 0.1 }"),
+    ("wanted string or table", "expected a table, such as { uniform = 0.1 }"),
+    (
+        "unit variant, expected newtype variant",
+        "a word, expected a table, such as { uniform = 0.1 }",
+    ),
+    ("map, expected a sequence", "a table, expected a list of tables, each written [[NAME]]"),
+    ("expected a sequence", "expected a list, such as [..]"),
+    ("expected a map", "expected a table"),
 ];
 
 /// Parses TOML; an error names the line, the key and, for an unknown key or value, the nearest known one.

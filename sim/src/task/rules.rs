@@ -6,7 +6,8 @@ use rapier3d::math::Vector;
 use super::Motion;
 use super::command::CommandRanges;
 use super::definition::{
-    Audience, HealthyRow, LARGEST_NUMBER, TaskFile, TermName, TermRow, refused, within,
+    Audience, HealthyRow, LARGEST_NUMBER, TaskFile, TermName, TermRow, check_repeats, refused,
+    within,
 };
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::names::Names;
@@ -267,7 +268,7 @@ fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> V
 }
 
 /// Names of the rewards, then of the costs. The second term of a kind is `KIND_2`.
-fn term_names(file: &TaskFile) -> Vec<String> {
+pub(super) fn term_names(file: &TaskFile) -> Vec<String> {
     let rows: Vec<&TermRow> = file.reward.iter().chain(&file.cost).collect();
     let name = |(index, row): (usize, &&TermRow)| {
         let word = row.term.word();
@@ -344,6 +345,7 @@ fn checked_healthy(
 
 /// Indices of the coordinates that are not hidden.
 fn shown(hidden: &[String], names: Names<'_>, robot: &Robot) -> Result<Vec<usize>, SimError> {
+    check_repeats("state.hidden", hidden)?;
     let hidden = hidden.iter().map(|name| names.index("state.hidden", name));
     let hidden = hidden.collect::<Result<Vec<_>, _>>()?;
     Ok((0..robot.coordinate_names().len()).filter(|index| !hidden.contains(index)).collect())

@@ -3,15 +3,16 @@
 use std::collections::BTreeMap;
 
 use rapier3d::glamx::DVec3;
+use rapier3d::math::Rotation;
 
 use super::Motion;
 use super::body_terms::BodyTerm;
-use super::command::{CommandRanges, Heading};
+use super::command::{CommandRanges, Heading, PLANAR_ROOT};
 use super::definition::{LARGEST_NUMBER, TermName, TermRow, check_repeats, refused, within};
 use super::disturbance::ascending;
 use super::names::Names;
 use crate::error::SimError;
-use crate::robot::{MapKind, Place, Robot};
+use crate::robot::{JointPlan, MapKind, Place, Robot};
 
 /// One step of an environment.
 pub(crate) struct Transition<'a> {
@@ -257,7 +258,7 @@ fn term(
     let coordinate = row.coordinate.as_ref().map(|name| names.index(place, name)).transpose()?;
     Ok(match row.term {
         TermName::ForwardSpeed => Term::ForwardSpeed {
-            coordinate: coordinate.unwrap_or(robot.layout.root_joint().coordinate),
+            coordinate: coordinate.map_or_else(|| root_along_x(place, robot), Ok)?,
         },
         TermName::Alive => Term::Alive,
         TermName::Control => Term::Control,
@@ -291,6 +292,27 @@ fn term(
         | TermName::Height
         | TermName::Spread => Term::Body(BodyTerm::new(place, row, robot)?),
     })
+}
+
+/// The coordinate of the root along the world's x; refused if the root has none, or if another one comes first.
+fn root_along_x(place: &str, robot: &Robot) -> Result<usize, SimError> {
+    let link = &robot.blueprint.links[robot.layout.root];
+    let is_along_x = match &link.joint {
+        JointPlan::Hinge(hinge) => {
+            let axis = &hinge.axis;
+            let is_own =
+                axis.frame == Rotation::IDENTITY && link.rest.rotation == Rotation::IDENTITY;
+            hinge.is_slide() && axis.free == 0 && axis.sign > 0.0 && is_own
+        }
+        JointPlan::Fixed | JointPlan::Ball(_) => false,
+        JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Planar(_) => true,
+    };
+    match is_along_x {
+        true => Ok(robot.layout.root_joint().coordinate),
+        false => Err(refused(format!(
+            "{place}: the first coordinate of the root is not its x; name a `coordinate`"
+        ))),
+    }
 }
 
 /// Components of the command that a term follows, with their indices in it: the stated ones, or else all speeds in m/s.
@@ -338,9 +360,9 @@ impl Tilt {
         match root.kind {
             MapKind::Free | MapKind::Floating => Ok(Self::Free(root.coordinate + 3)),
             MapKind::Planar => Ok(Self::Planar(root.coordinate + 2)),
-            MapKind::Fixed | MapKind::Hinge { .. } | MapKind::Ball => {
-                Err(refused(format!("{place} needs a root that can tilt; name a body with `of`")))
-            }
+            MapKind::Fixed | MapKind::Hinge { .. } | MapKind::Ball => Err(refused(format!(
+                "{place} needs a free root or a {PLANAR_ROOT}; name a body with `of`"
+            ))),
         }
     }
 }

@@ -211,6 +211,9 @@ fn a_root_of_three_joints_in_another_order_is_a_chain_of_links_without_masses() 
         .replace(slides[0], "x")
         .replace(slides[1], slides[0])
         .replace("<joint x", &format!("<joint {}", slides[1]));
+    let file = &mut config.definition.as_mut().unwrap().file;
+    let term = "term = \"forward_speed\"";
+    *file = file.replacen(term, &format!("{term}\ncoordinate = \"rootx\""), 1);
     let mut world = environments(&config, 1).unwrap();
     let names = world.description().state.iter().map(|feature| feature.name.as_str());
     assert_eq!(names.take(2).collect::<Vec<_>>(), ["rootz.position", "rooty.position"]);
@@ -359,6 +362,7 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
             "\"rooty.positions\"",
             &["neighbourhood.globals", "did you mean `rooty.position`?"],
         ),
+        ("hidden = [", "hidden = [\"rootx\", \"rootx\"]#", &["state.hidden names an entry twice"]),
         (
             "hidden = [",
             "angular_velocity = \"body\"\nhidden = [",

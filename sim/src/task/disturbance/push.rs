@@ -30,7 +30,7 @@ impl Push {
     /// Resolves a row.
     pub(super) fn new(row: &PushRow, link: usize, robot: &Robot) -> Result<Self, SimError> {
         let place = format!("disturbance.push ({})", row.link);
-        let steps = |secs: f32| (f64::from(secs) / robot.step_secs()).round().max(1.0) as u32;
+        let steps = |secs: f32| (f64::from(secs) / robot.step_secs()).round() as u32;
         let axes = row.axes.clone().unwrap_or_else(|| horizontal(robot));
         if axes.is_empty() {
             return Err(refused(format!(
@@ -38,6 +38,10 @@ impl Push {
             )));
         }
         check_repeats(&format!("{place}.axes"), &axes)?;
+        if is_planar(robot, link) && axes.contains(&WorldAxis::Y) {
+            let why = "has y, along which a planar robot cannot move; remove it";
+            return Err(refused(format!("{place}.axes {why}")));
+        }
         let push = Self {
             link,
             force: row.force,
@@ -45,6 +49,12 @@ impl Push {
             period: steps(row.period_secs),
             axes,
         };
+        if push.steps == 0 {
+            let (secs, step) = (row.duration_secs, robot.step_secs());
+            return Err(refused(format!(
+                "{place}: duration_secs {secs} is less than half a step of {step} s"
+            )));
+        }
         if push.steps > push.period {
             return Err(refused(format!(
                 "{place}: duration_secs {} must not exceed period_secs {}",
@@ -67,11 +77,17 @@ impl Push {
     }
 }
 
+/// Whether the tree of a link has a planar root.
+fn is_planar(robot: &Robot, link: usize) -> bool {
+    let root = robot.blueprint.tree_of(link);
+    matches!(robot.blueprint.links[root].joint, JointPlan::Planar(_))
+}
+
 /// Horizontal axes along which the robot can move.
 pub(super) fn horizontal(robot: &Robot) -> Vec<WorldAxis> {
-    match robot.blueprint.links[robot.layout.root].joint {
-        JointPlan::Planar(_) => vec![WorldAxis::X],
-        _ => vec![WorldAxis::X, WorldAxis::Y],
+    match is_planar(robot, robot.layout.root) {
+        true => vec![WorldAxis::X],
+        false => vec![WorldAxis::X, WorldAxis::Y],
     }
 }
 

@@ -206,7 +206,7 @@ fn invalid_rows_of_bodies_are_refused_with_their_key() {
             term("term = \"upright\"\nof = \"cup\""),
             "reward.upright.of: the robot has no body `cup`",
         ),
-        (term("term = \"upright\""), "reward.upright needs a root that can tilt; name a body"),
+        (term("term = \"upright\""), "reward.upright needs a free root or a planar root"),
         (
             "[[healthy]]\ncoordinate = \"ball.x\"\nof = \"ball\"\nabove = 0\n".to_owned(),
             "healthy has the key `of` only with `feature = \"upright\"`",

@@ -133,7 +133,7 @@ fn invalid_commands_and_terms_are_refused_with_their_key() {
         (
             "term = \"alive\"",
             "[command]\nof = \"world\"\nforward = [0, 1]",
-            "command needs a robot with a free or planar root",
+            "command needs a free root or a planar root (slides along x and z and a hinge about y",
         ),
         (
             "term = \"velocity_tracking\"\nsigma = 0.5\ncomponents = [\"yaw\"]",

@@ -310,6 +310,14 @@ fn invalid_disturbances_are_refused_with_their_key() {
             push("force = [0, 1]\nduration_secs = 3\nperiod_secs = 2"),
             "disturbance.push (torso): duration_secs 3 must not exceed period_secs 2",
         ),
+        (
+            push("force = [0, 1]\nduration_secs = 0.003\nperiod_secs = 2"),
+            "disturbance.push (torso): duration_secs 0.003 is less than half a step of 0.02 s",
+        ),
+        (
+            push(&format!("force = [0, 1]\naxes = [\"x\", \"y\"]\n{times}")),
+            "disturbance.push (torso).axes has y, along which a planar robot cannot move",
+        ),
         (push(&format!("force = [0, nan]\n{times}")), "disturbance.push (torso).force must be"),
         (push(&format!("force = [0, 1]\naxes = []\n{times}")), "axes is empty; write"),
         (

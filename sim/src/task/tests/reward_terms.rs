@@ -44,3 +44,31 @@ fn terms_are_named_in_the_order_of_the_file_and_costs_are_negative() {
     world.reset(0, 1, 9, [1; 32]).unwrap();
     assert_eq!(world.reward_terms(0), [0.0; 4]);
 }
+
+#[test]
+fn forward_speed_without_a_coordinate_needs_a_root_that_first_moves_along_x() {
+    let built = |joint: &str| {
+        let mut config = config(HOPPER, ObservationMode::FullId);
+        let model = &mut config.definition.as_mut().unwrap().model;
+        let own = "name=\"rootx\" type=\"slide\" axis=\"1 0 0\" armature=\"0\" damping=\"0\"";
+        assert!(model.contains(own));
+        *model = model.replace(own, &format!("name=\"rootx\" type=\"slide\" {joint}"));
+        environments(&config, 1).map(drop).map_err(|error| error.to_string())
+    };
+    built("axis=\"1 0 0\" damping=\"1\"").unwrap();
+    for axis in ["0 1 0", "0 0 1", "-1 0 0"] {
+        let refused = built(&format!("axis=\"{axis}\" damping=\"1\"")).unwrap_err();
+        let why =
+            "forward_speed: the first coordinate of the root is not its x; name a `coordinate`";
+        assert!(refused.contains(why), "{axis}: {refused}");
+    }
+}
+
+#[test]
+fn the_weight_of_a_second_term_of_a_kind_has_its_number() {
+    let second = "\n[[reward]]\nterm = \"alive\"\nweight = 7.0\n\n[[healthy]]";
+    let config = config(&changed("\n[[healthy]]", second), ObservationMode::FullId);
+    assert_eq!(config.weight_in_file("alive_2").unwrap(), 7.0);
+    assert_ne!(config.weight_in_file("alive").unwrap(), 7.0);
+    assert!(config.weight_in_file("alive_3").is_err());
+}
