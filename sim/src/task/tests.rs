@@ -362,7 +362,6 @@ fn an_invalid_file_is_refused_with_its_key_and_the_nearest_valid_name() {
             "\"rooty.positions\"",
             &["neighbourhood.globals", "did you mean `rooty.position`?"],
         ),
-        ("hidden = [", "hidden = [\"rootx\", \"rootx\"]#", &["state.hidden names an entry twice"]),
         (
             "hidden = [",
             "angular_velocity = \"body\"\nhidden = [",

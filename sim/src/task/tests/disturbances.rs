@@ -288,6 +288,21 @@ fn a_state_whose_flag_is_neither_0_nor_1_is_refused() {
 }
 
 #[test]
+fn a_push_that_cannot_act_is_refused() {
+    for (row, part) in [
+        ("duration_secs = 0.003", "duration_secs 0.003 is less than half a step of 0.02 s"),
+        (
+            "duration_secs = 0.1\naxes = [\"x\", \"y\"]",
+            "axes has y, along which a planar robot cannot move; remove it",
+        ),
+    ] {
+        let push = "[[disturbance.push]]\nlink = \"torso\"\nforce = [0, 1]\nperiod_secs = 2";
+        let message = refusal(&format!("{HOPPER}\n{push}\n{row}\n"));
+        assert!(message.contains(part), "{row}: {message}");
+    }
+}
+
+#[test]
 fn invalid_disturbances_are_refused_with_their_key() {
     let push = |rows: &str| format!("[[disturbance.push]]\nlink = \"torso\"\n{rows}");
     let times = "duration_secs = 0.1\nperiod_secs = 2";
@@ -309,14 +324,6 @@ fn invalid_disturbances_are_refused_with_their_key() {
         (
             push("force = [0, 1]\nduration_secs = 3\nperiod_secs = 2"),
             "disturbance.push (torso): duration_secs 3 must not exceed period_secs 2",
-        ),
-        (
-            push("force = [0, 1]\nduration_secs = 0.003\nperiod_secs = 2"),
-            "disturbance.push (torso): duration_secs 0.003 is less than half a step of 0.02 s",
-        ),
-        (
-            push(&format!("force = [0, 1]\naxes = [\"x\", \"y\"]\n{times}")),
-            "disturbance.push (torso).axes has y, along which a planar robot cannot move",
         ),
         (push(&format!("force = [0, nan]\n{times}")), "disturbance.push (torso).force must be"),
         (push(&format!("force = [0, 1]\naxes = []\n{times}")), "axes is empty; write"),

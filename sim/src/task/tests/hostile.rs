@@ -240,6 +240,7 @@ fn an_entry_that_is_stated_twice_is_refused() {
         ),
         ("[\"x\", \"y\"]", "[\"x\", \"x\"]", "disturbance.push (torso).axes names an entry twice"),
         ("[\"hip_1\", \"ankle_1\"]", "[\"hip_1\", \"hip_1\"]", "edges names an entry twice"),
+        ("[\"root.x\"]", "[\"root.x\", \"root.x\"]", "state.hidden names an entry twice"),
         (
             "[neighbourhood]",
             "[[disturbance.terrain]]\nbody = \"world\"\nheight = [0.0, 1.0]\n[neighbourhood]",
