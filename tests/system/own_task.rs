@@ -186,7 +186,7 @@ fn a_check_refuses_rewards_that_no_learner_accepts_with_the_largest_term() {
     let valid = std::fs::read_to_string(&task).unwrap();
     std::fs::write(&task, valid.replacen("weight = 1e-3", "weight = 1e9", 1)).unwrap();
     let (status, told) = told(s2mia(&["task", "check", text(&task)]));
-    let why = "at most 1e9 is allowed; lower the weight of `control`, which gives -1";
+    let why = "of which `control` gives -1.017822e9; lower the term's weight";
     assert!(status == Some(1) && told.contains(why), "{told}");
 }
 

@@ -93,7 +93,7 @@ _MODULES = {
 # Optional packages, by the names that need them. Without the package, `help(s2mia)` omits the name.
 _EXTRAS = {"Runs": "pandas", "runs": "pandas", "gym_env": "gymnasium", "parallel_env": "pettingzoo", "vector_env": "gymnasium"}
 for _name, _extra in _EXTRAS.items():
-    if _extra not in sys.modules and importlib.util.find_spec(_extra) is None:
+    if sys.modules.get(_extra) is None and (_extra in sys.modules or importlib.util.find_spec(_extra) is None):
         __all__.remove(_name)
 
 

@@ -95,7 +95,7 @@ class Simulator:
 
 
 def demand_settings(function: Callable[..., Any], settings: Mapping[str, Any]) -> None:
-    """Raises `ValueError` for a keyword that is meant as an argument of `function`, or is one of another kind."""
+    """Raises `ValueError` for an argument of another kind of environment, and for nearly one of `function`."""
     own = [name for name in inspect.signature(function).parameters if name in _ARGUMENTS]
     for key in settings:
         if key in _ARGUMENTS:

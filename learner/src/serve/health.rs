@@ -126,8 +126,8 @@ pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
 
 /// Why a call failed: the learner's message, or the cause of a broken connection.
 fn explanation(url: &str, status: &Status) -> String {
-    const REFUSED: &str = "it closed the connection: it does not accept this client certificate, whose authority must be that of its \
-                           --tls-client-ca, or does not speak gRPC";
+    const REFUSED: &str = "it closed the connection: it may have ended, not accept this client certificate (its authority must be that \
+                           of --tls-client-ca), or not speak gRPC";
     const BROKEN: &str = "it closed the connection or does not speak gRPC; if it requires TLS, pass --tls-ca, \
                           --tls-certificate and --tls-key, and use https:// in the URL";
     /// What tonic says of an HTTP answer that is none of gRPC.

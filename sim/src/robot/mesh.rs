@@ -208,8 +208,8 @@ fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
     let count = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     let count = count.ok_or("an STL file has at least 84 bytes")? as usize;
-    let needed = count.checked_mul(STL_TRIANGLE_BYTES).map(|size| size + STL_HEADER_BYTES);
-    let (needed, has) = (needed.unwrap_or(usize::MAX), bytes.len());
+    let (needed, has) =
+        (count.saturating_mul(STL_TRIANGLE_BYTES).saturating_add(STL_HEADER_BYTES), bytes.len());
     if needed != has && bytes.starts_with(b"solid") {
         return Err("it is an ASCII STL file; save it as a binary one".to_owned());
     }

@@ -272,8 +272,8 @@ impl TaskFile {
     /// If the file has no term of this name.
     pub(crate) fn weight_mut(&mut self, term: &str) -> Result<&mut f32, SimError> {
         let names = term_names(self);
-        let rows = self.reward.iter_mut().chain(&mut self.cost).zip(&names);
-        match rows.filter(|(_, name)| *name == term).last() {
+        let mut rows = self.reward.iter_mut().chain(&mut self.cost).zip(&names);
+        match rows.find(|(_, name)| *name == term) {
             Some((row, _)) => Ok(&mut row.weight),
             None => {
                 let choice = spelling::choice(term, names.iter().map(String::as_str));
@@ -362,7 +362,10 @@ const TYPES: [(&str, &str); 6] = [
         "unit variant, expected newtype variant",
         "a word, expected a table, such as { uniform = 0.1 }",
     ),
-    ("map, expected a sequence", "a table, expected a list of tables, each written [[NAME]]"),
+    (
+        "map, expected a sequence",
+        "a table, expected a list; a list of tables has rows written [[NAME]]",
+    ),
     ("expected a sequence", "expected a list, such as [..]"),
     ("expected a map", "expected a table"),
 ];

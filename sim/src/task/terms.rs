@@ -297,15 +297,16 @@ fn term(
 /// The coordinate of the root along the world's x; refused if the root has none, or if another one comes first.
 fn root_along_x(place: &str, robot: &Robot) -> Result<usize, SimError> {
     let link = &robot.blueprint.links[robot.layout.root];
+    let is_unturned = link.rest.rotation == Rotation::IDENTITY;
     let is_along_x = match &link.joint {
         JointPlan::Hinge(hinge) => {
             let axis = &hinge.axis;
-            let is_own =
-                axis.frame == Rotation::IDENTITY && link.rest.rotation == Rotation::IDENTITY;
-            hinge.is_slide() && axis.free == 0 && axis.sign > 0.0 && is_own
+            let is_x = axis.frame == Rotation::IDENTITY && axis.free == 0 && axis.sign > 0.0;
+            hinge.is_slide() && is_x && is_unturned
         }
+        JointPlan::Planar(_) => is_unturned,
         JointPlan::Fixed | JointPlan::Ball(_) => false,
-        JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Planar(_) => true,
+        JointPlan::Free(_) | JointPlan::Floating(_) => true,
     };
     match is_along_x {
         true => Ok(robot.layout.root_joint().coordinate),

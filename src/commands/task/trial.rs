@@ -32,19 +32,6 @@ pub(super) struct Trial {
     poses: Vec<Pose>,
 }
 
-/// Refuses a reward that no learner accepts.
-fn demand_moderate(world: &dyn EnvironmentBatch, reward: f32) -> anyhow::Result<()> {
-    let terms = world.description().reward_terms.iter().zip(world.reward_terms(0));
-    let largest = terms.max_by(|one, other| one.1.abs().total_cmp(&other.1.abs()));
-    if let Some((name, value)) = largest.filter(|_| reward.abs() > MAX_MAGNITUDE) {
-        anyhow::bail!(
-            "a step with random actions has the reward {reward:e}, at most {MAX_MAGNITUDE:e} is allowed; \
-             lower the weight of `{name}`, which gives {value:e}"
-        );
-    }
-    Ok(())
-}
-
 impl Trial {
     /// Plays up to `count` episodes, until `is_late`.
     pub(super) fn play_all(
@@ -137,6 +124,19 @@ impl Trial {
         };
         film::strip(robot, &(0..count).map(frame).collect::<Vec<_>>(), ViewDirection::Side)
     }
+}
+
+/// Refuses a reward, and a term of it, that no learner accepts.
+fn demand_moderate(world: &dyn EnvironmentBatch, reward: f32) -> anyhow::Result<()> {
+    let terms = world.description().reward_terms.iter().zip(world.reward_terms(0));
+    let largest = terms.max_by(|one, other| one.1.abs().total_cmp(&other.1.abs()));
+    let Some((name, value)) = largest else { return Ok(()) };
+    anyhow::ensure!(
+        reward.abs().max(value.abs()) <= MAX_MAGNITUDE,
+        "a step with random actions has the reward {reward:e}, of which `{name}` gives {value:e}; lower the term's weight: \
+         rewards and their terms may be at most {MAX_MAGNITUDE:e}"
+    );
+    Ok(())
 }
 
 /// Actions of all agents, uniform in their ranges, `[A]`.

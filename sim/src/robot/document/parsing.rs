@@ -14,12 +14,14 @@ const DEEPEST_ELEMENT: usize = 200;
 /// Nesting depth of included files.
 const DEEPEST_INCLUDE: usize = 8;
 /// Attributes that, as in MuJoCo, count as absent if they are empty.
-const EMPTY_IS_NONE: [&str; 12] = [
+const EMPTY_IS_NONE: [&str; 14] = [
     "name",
     "body1",
     "body2",
+    "joint",
     "joint1",
     "joint2",
+    "mesh",
     "site1",
     "site2",
     "axisangle",

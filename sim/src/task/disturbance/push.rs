@@ -1,7 +1,7 @@
 //! Pushes: forces on a link at drawn times.
 
 use rand::RngCore;
-use rapier3d::math::Vector;
+use rapier3d::math::{Rotation, Vector};
 
 use super::super::definition::{check_repeats, refused};
 use super::super::relations::WorldAxis;
@@ -31,14 +31,14 @@ impl Push {
     pub(super) fn new(row: &PushRow, link: usize, robot: &Robot) -> Result<Self, SimError> {
         let place = format!("disturbance.push ({})", row.link);
         let steps = |secs: f32| (f64::from(secs) / robot.step_secs()).round() as u32;
-        let axes = row.axes.clone().unwrap_or_else(|| horizontal(robot));
+        let axes = row.axes.clone().unwrap_or_else(|| horizontal(robot, link));
         if axes.is_empty() {
             return Err(refused(format!(
                 "{place}.axes is empty; write, for example, [\"x\", \"y\"]"
             )));
         }
         check_repeats(&format!("{place}.axes"), &axes)?;
-        if is_planar(robot, link) && axes.contains(&WorldAxis::Y) {
+        if moves_along_x_alone(robot, link) && axes.contains(&WorldAxis::Y) {
             let why = "has y, along which a planar robot cannot move; remove it";
             return Err(refused(format!("{place}.axes {why}")));
         }
@@ -52,7 +52,7 @@ impl Push {
         if push.steps == 0 {
             let (secs, step) = (row.duration_secs, robot.step_secs());
             return Err(refused(format!(
-                "{place}: duration_secs {secs} is less than half a step of {step} s"
+                "{place}: duration_secs {secs} is less than half a step of {step} s; lengthen it"
             )));
         }
         if push.steps > push.period {
@@ -77,15 +77,15 @@ impl Push {
     }
 }
 
-/// Whether the tree of a link has a planar root.
-fn is_planar(robot: &Robot, link: usize) -> bool {
-    let root = robot.blueprint.tree_of(link);
-    matches!(robot.blueprint.links[root].joint, JointPlan::Planar(_))
+/// Whether the tree of a link has a planar root in the plane of the world's x and z.
+fn moves_along_x_alone(robot: &Robot, link: usize) -> bool {
+    let root = &robot.blueprint.links[robot.blueprint.tree_of(link)];
+    matches!(root.joint, JointPlan::Planar(_)) && root.rest.rotation == Rotation::IDENTITY
 }
 
-/// Horizontal axes along which the robot can move.
-pub(super) fn horizontal(robot: &Robot) -> Vec<WorldAxis> {
-    match is_planar(robot, robot.layout.root) {
+/// Horizontal axes of the world along which the tree of a link can move.
+pub(super) fn horizontal(robot: &Robot, link: usize) -> Vec<WorldAxis> {
+    match moves_along_x_alone(robot, link) {
         true => vec![WorldAxis::X],
         false => vec![WorldAxis::X, WorldAxis::Y],
     }

@@ -255,6 +255,17 @@ fn an_entry_that_is_stated_twice_is_refused() {
 }
 
 #[test]
+fn a_value_of_another_type_is_refused_with_the_type_in_words() {
+    for (from, to, expected) in [
+        ("[\"root.x\"]", "{}", "a table, expected a list; a list of tables has rows written"),
+        ("[\"root.x\"]", "\"root.x\"", "expected a list, such as [..]"),
+    ] {
+        let reason = environments_of(&EVERYTHING.replacen(from, to, 1)).err().unwrap();
+        assert!(reason.contains(expected), "{reason}");
+    }
+}
+
+#[test]
 fn an_edge_of_a_single_joint_is_refused() {
     let file = EVERYTHING.replacen("[\"hip_1\", \"ankle_1\"]", "[\"hip_1\"]", 1);
     let reason = environments_of(&file).err().unwrap();

@@ -56,6 +56,12 @@ fn forward_speed_without_a_coordinate_needs_a_root_that_first_moves_along_x() {
         environments(&config, 1).map(drop).map_err(|error| error.to_string())
     };
     built("axis=\"1 0 0\" damping=\"1\"").unwrap();
+    let mut turned = config(HOPPER, ObservationMode::FullId);
+    let model = &mut turned.definition.as_mut().unwrap().model;
+    let body = "<body name=\"torso\"";
+    assert!(model.contains(body));
+    *model = model.replacen(body, &format!("{body} euler=\"0 0 1.5\""), 1);
+    assert!(environments(&turned, 1).err().unwrap().to_string().contains("is not its x"));
     for axis in ["0 1 0", "0 0 1", "-1 0 0"] {
         let refused = built(&format!("axis=\"{axis}\" damping=\"1\"")).unwrap_err();
         let why =

@@ -169,6 +169,14 @@ fn without_contacts_walls_touch_nothing() {
     assert!(robot.blueprint.grounds.is_empty() && robot.left_out().is_empty());
 }
 
+/// MuJoCo 4.0.0 loads it.
+#[test]
+fn an_empty_reference_or_orientation_counts_as_none() {
+    let body = "<body quat=\"\" zaxis=\"\"><joint name=\"j\"/><geom name=\"\" mesh=\"\" size=\"0.1\"/></body>";
+    let motor = "<motor joint=\"\" jointinparent=\"j\" ctrlrange=\"-1 1\"/>";
+    robot(&document(body, motor)).unwrap();
+}
+
 #[test]
 fn everything_that_cannot_be_built_is_named_in_lines_of_their_own() {
     let bodies = "<body><joint name=\"a\" type=\"ball\" range=\"1 2\"/>\n<geom type=\"hfield\"/>\n\
