@@ -360,12 +360,9 @@ const TYPES: [(&str, &str); 6] = [
     ("wanted string or table", "expected a table, such as { uniform = 0.1 }"),
     (
         "unit variant, expected newtype variant",
-        "a word, expected a table, such as { uniform = 0.1 }",
+        "a word, expected a table such as { uniform = 0.1 }",
     ),
-    (
-        "map, expected a sequence",
-        "a table, expected a list; a list of tables has rows written [[NAME]]",
-    ),
+    ("map, expected a sequence", "a table, expected a list; one of tables has rows [[NAME]]"),
     ("expected a sequence", "expected a list, such as [..]"),
     ("expected a map", "expected a table"),
 ];

@@ -257,7 +257,7 @@ fn an_entry_that_is_stated_twice_is_refused() {
 #[test]
 fn a_value_of_another_type_is_refused_with_the_type_in_words() {
     for (from, to, expected) in [
-        ("[\"root.x\"]", "{}", "a table, expected a list; a list of tables has rows written"),
+        ("[\"root.x\"]", "{}", "a table, expected a list; one of tables has rows [[NAME]]"),
         ("[\"root.x\"]", "\"root.x\"", "expected a list, such as [..]"),
     ] {
         let reason = environments_of(&EVERYTHING.replacen(from, to, 1)).err().unwrap();

@@ -30,7 +30,7 @@ fn assert_refused(cases: &[(String, &str)]) {
 fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
     assert_refused(&[
         (geom("size=\"0.1\" shiny=\"1\""), "line 4, <geom>: the attribute `shiny`"),
-        (geom("size=\"0.1\" class=\"\""), "line 4, <geom>: no default has the class ``"),
+        (geom("size=\"0.1\" class=\"\""), "line 4, <geom class=\"\">: no default has the class ``"),
         (geom("type=\"hfield\""), "line 4, <geom>: a height field must be fixed to the world"),
         (
             geom("type=\"mesh\" mesh=\"lost\""),
