@@ -106,7 +106,7 @@ impl Solid {
 
     /// Moments along axes, kg m^2.
     pub(super) fn moments_along(&self, axes: Rotation) -> [f64; 3] {
-        let inertia = self.inside(axes);
+        let inertia = self.inside(numbers(axes));
         std::array::from_fn(|axis| inertia[axis][axis])
     }
 
@@ -114,11 +114,10 @@ impl Solid {
     /// of inertia becomes zero. Which axes of equal moments are found depends on this order.
     pub(super) fn axes_from(&self, frame: Rotation) -> Rotation {
         let mut found = [0.0, 0.0, 0.0, 1.0];
-        let inside = Self { inertia: self.inside(frame), ..Self::default() };
-        let trace: f64 = (0..3).map(|axis| inside.inertia[axis][axis]).sum();
+        let part = Self { inertia: self.inside(numbers(frame)), ..Self::default() };
+        let trace: f64 = (0..3).map(|axis| part.inertia[axis][axis]).sum();
         for _ in 0..MOST_TURNS {
-            let [x, y, z, w] = found;
-            let inertia = inside.turned([-x, -y, -z, w]).inertia;
+            let inertia = part.inside(found);
             let size = |axis: usize| inertia[(axis + 1) % 3][(axis + 2) % 3].abs();
             let axis = match (size(2) > size(1), size(1) > size(0)) {
                 (true, _) if size(2) > size(0) => 2,
@@ -133,9 +132,8 @@ impl Solid {
         frame * Rotation::from_xyzw(x, y, z, w)
     }
 
-    /// Inertia along axes.
-    fn inside(&self, axes: Rotation) -> Matrix {
-        let [x, y, z, w] = numbers(axes);
+    /// Inertia along the axes of a unit quaternion (x y z w).
+    fn inside(&self, [x, y, z, w]: [f64; 4]) -> Matrix {
         self.turned([-x, -y, -z, w]).inertia
     }
 

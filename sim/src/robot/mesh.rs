@@ -210,13 +210,13 @@ fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
     let count = count.ok_or("an STL file has at least 84 bytes")? as usize;
     let (needed, has) =
         (count.saturating_mul(STL_TRIANGLE_BYTES).saturating_add(STL_HEADER_BYTES), bytes.len());
-    if needed != has && bytes.starts_with(b"solid") {
-        return Err("it is an ASCII STL file; save it as a binary one".to_owned());
-    }
     if needed != has {
-        return Err(format!(
-            "it is not a binary STL file: {count} triangles need {needed} bytes, it has {has}"
-        ));
+        return Err(match bytes.starts_with(b"solid") {
+            true => "it is an ASCII STL file; save it as a binary one".to_owned(),
+            false => format!(
+                "it is not a binary STL file: {count} triangles need {needed} bytes, it has {has}"
+            ),
+        });
     }
     let number = |at: &[u8]| f64::from(f32::from_le_bytes([at[0], at[1], at[2], at[3]]));
     let points: Vec<[f64; 3]> = bytes[STL_HEADER_BYTES..]

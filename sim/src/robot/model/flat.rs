@@ -145,8 +145,7 @@ fn inertia(
     folder: &mut Folder<'_>,
 ) -> Result<Option<Solid>, String> {
     let is_stated = bodies::stated_inertia(body, &context.options)?.is_some();
-    let weighs = |geom: &&Geom| !is_stated && geom.weighs() && !geom.is_ground();
-    if !body.geoms.iter().any(|geom| geom.is_mesh() && weighs(&geom)) {
+    if is_stated || !body.geoms.iter().any(|geom| geom.is_mesh() && geom.weighs()) {
         return Ok(None);
     }
     bodies::solid(body, context, folder).map(Some)

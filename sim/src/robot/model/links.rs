@@ -157,7 +157,8 @@ impl<'a> Links<'a> {
         let has_contacts = body.geoms.iter().any(Geom::collides);
         let only_weight = body.geoms.iter().filter(|geom| geom.weighs()).count() == 1;
         let stated = inertial.as_ref().and_then(|_| bodies::stated_axes(body, &context.options));
-        let (stated, mut axes) = (stated.map(|own| frame.rotation * own), None);
+        let stated = stated.map(|own| frame.rotation * own);
+        let mut axes = None;
         let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {
             let weighs = inertial.is_none() && geom.weighs();
