@@ -316,6 +316,10 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     }
     edges.iter().try_for_each(|edge| check_repeats("neighbourhood.edges", edge))?;
     check_repeats("neighbourhood.globals", globals)?;
+    if let Some(row) = touching.iter().find(|row| row.bodies.is_empty()) {
+        let why = "has no bodies; name those whose contact forces belong to the joint";
+        return Err(refused(format!("neighbourhood.touching: the row of `{}` {why}", row.joint)));
+    }
     let near = edges.iter().flatten().map(|joint| ("neighbourhood.edges", joint));
     let touching_joints = touching.iter().map(|row| ("neighbourhood.touching.joint", &row.joint));
     let stated = near.chain(touching_joints).map(|(key, joint)| (key, joint.as_str()));

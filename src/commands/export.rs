@@ -95,9 +95,10 @@ fn export(
     let episode = play(world, snapshot, chosen.key(), &WorkProgress::new())?;
     target::file(&folder.join("episode.safetensors"), &episode.to_bytes()?)?;
     let (value, steps) = (episode.extrinsic_return, episode.steps);
-    let contents = format!(
-        "{chosen}: return {value:.2}, {steps} steps; each observation, hidden state, action"
-    );
+    let remembers = snapshot.agents.iter().any(|agent| agent.hidden_size() > 0);
+    let hidden = if remembers { "hidden state, " } else { "" };
+    let contents =
+        format!("{chosen}: return {value:.2}, {steps} steps; each observation, {hidden}action");
     files.push(("episode.safetensors".to_owned(), contents));
     let is_new = |path: &PathBuf| files.iter().any(|(name, _)| path.ends_with(name));
     for path in earlier.into_iter().filter(|path| !is_new(path)) {
@@ -203,7 +204,8 @@ fn play(
 }
 
 impl ComparedEpisode {
-    /// A safetensors file: `agent_I.observation` `[T, obs]`, `agent_I.hidden` `[T, H]`, `agent_I.action` `[T, act]`.
+    /// A safetensors file: `agent_I.observation` `[T, obs]`, `agent_I.hidden` `[T, H]` of an agent with a recurrent state, and
+    /// `agent_I.action` `[T, act]`.
     fn to_bytes(&self) -> Result<Vec<u8>, ArrayError> {
         let mut arrays = NamedArrays::new();
         for (index, track) in self.agents.iter().enumerate() {
@@ -212,7 +214,7 @@ impl ComparedEpisode {
                 ("hidden", &track.hidden),
                 ("action", &track.action),
             ];
-            for (name, data) in parts {
+            for (name, data) in parts.into_iter().filter(|(_, data)| !data.is_empty()) {
                 let shape = vec![self.steps, data.len() / self.steps];
                 let array = Array::F32 { shape, data: data.clone() };
                 arrays.insert(format!("agent_{index}.{name}"), array);

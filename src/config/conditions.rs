@@ -7,7 +7,7 @@ use proto::{AgentSpec, EnvironmentSpec};
 use sim::{ContactForces, ObservationMode, ObservationNorm, TaskConfig};
 use toml::Value;
 
-use super::keys::URL;
+use super::keys::{START, URL};
 use super::resolved::Resolved;
 use super::run_config::RunConfig;
 
@@ -22,6 +22,8 @@ pub(super) enum Condition {
     Above0(&'static str),
     /// This number is 0.
     Zero(&'static str),
+    /// Random weights that `policy.head_gain` scales: of the policies, or of q's own head.
+    RandomHead,
     /// The environment has this property.
     Environment(Property),
 }
@@ -63,6 +65,7 @@ impl Condition {
     pub(super) fn setting(self) -> Option<&'static str> {
         match self {
             Self::Is(key, _) | Self::Not(key, _) | Self::Above0(key) | Self::Zero(key) => Some(key),
+            Self::RandomHead => Some(START),
             Self::Environment(_) => None,
         }
     }
@@ -80,6 +83,10 @@ impl Condition {
             Self::Not(key, value) => Some(resolved.text(key) != value),
             Self::Above0(key) => Some(number(key) > 0.0),
             Self::Zero(key) => Some(number(key) == 0.0),
+            Self::RandomHead => {
+                let own = resolved.text("influence.q_training") == "shared";
+                Some(resolved.text(START).is_empty() || own && number("influence.lambda") > 0.0)
+            }
             Self::Environment(property) => run.has(property),
         }
     }
@@ -95,6 +102,7 @@ impl fmt::Display for Condition {
             Self::Not(key, _) => f.write_str(key),
             Self::Above0(key) => write!(f, "{key} above 0"),
             Self::Zero(key) => write!(f, "{key} = 0"),
+            Self::RandomHead => write!(f, "no {START}"),
             Self::Environment(property) => f.write_str(match property {
                 Property::Robot => "a robot of the simulator",
                 Property::Contacts => "a robot whose task supports contact forces, such as ant-4x2",

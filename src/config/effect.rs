@@ -36,7 +36,8 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["observation.contact_forces"], &[Environment(Contacts)]),
     (&["policy.encoder", "policy.hidden"], &[GRU]),
     (&["policy.width", "policy.layers"], &[MLP]),
-    (&["policy.input_norm", "policy.head_gain"], &[LAYER_NORMS]),
+    (&["policy.input_norm"], &[LAYER_NORMS]),
+    (&["policy.head_gain"], &[LAYER_NORMS, Condition::RandomHead]),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
     (&["policy.noise"], &[GAUSSIAN, Environment(Several), Environment(Continuous)]),
     (

@@ -196,16 +196,13 @@ pub(crate) fn read_all(folders: &[PathBuf]) -> anyhow::Result<Vec<Curve>> {
         let curve = read(folder)?;
         if curve.of(Quantity::Return).is_empty() {
             let metrics = RunFolder::of(folder).join(METRICS);
-            let why = match metrics.exists() {
-                true => {
-                    format!(
-                        "{} has no evaluation yet; see evaluation.every_steps",
-                        folder.display()
-                    )
-                }
-                false => {
-                    format!("{} is missing; restore it, or leave the run out", metrics.display())
-                }
+            let why = if !metrics.exists() {
+                format!("{} is missing; restore it, or leave the run out", metrics.display())
+            } else if all_lines(&metrics)?.is_empty() {
+                let why = "has no line: the run has just begun, or the file was damaged";
+                format!("{} {why}", metrics.display())
+            } else {
+                format!("{} has no evaluation yet; see evaluation.every_steps", folder.display())
             };
             return Err(Usage::new(why).into());
         }

@@ -72,9 +72,19 @@ impl Recorded {
         Ok(Self { folder, manifest, config, provenance, metrics, evaluations, checkpoints })
     }
 
-    /// Refuses a run without a line of its start, or whose copy of the policies from which it started is damaged or gone.
+    /// Refuses a run without a line of its start, with one of another run or without a build, or whose copy of the policies from
+    /// which it started is damaged or gone.
     pub(crate) fn demand_starts(&self) -> anyhow::Result<()> {
-        lines(&self.folder.join(STARTS))?;
+        let file = self.folder.join(STARTS);
+        for (start, number) in lines(&file)?.iter().zip(1..) {
+            let place = format!("{}, line {number}", file.display());
+            for key in OF_ALL_STARTS {
+                let (found, recorded) = (&start[key], &self.manifest[key]);
+                ensure!(found == recorded, "{place}: {key} is {found}, {MANIFEST} has {recorded}");
+            }
+            let unknown = ["version", "git_commit"].into_iter().find(|key| !start[key].is_string());
+            ensure!(unknown.is_none(), "{place}: {} is missing", unknown.unwrap_or_default());
+        }
         start::demand_kept(&self.config.resolved, &self.folder)
     }
 
@@ -153,6 +163,10 @@ impl Recorded {
         Ok(starts.iter().chain([&self.manifest]).map(build).collect())
     }
 }
+
+/// What all starts of a run have in common.
+const OF_ALL_STARTS: [&str; 7] =
+    ["algorithm", "config_sha256", "environment", "environment_states", "program", "seed", "task"];
 
 /// The last iteration.
 fn last(lines: &Lines) -> u64 {

@@ -71,7 +71,12 @@ pub(crate) fn policies(
     }
     let bytes = match resumed {
         None => named_policies(resolved)?.bytes,
-        Some(run) if checkpoint::newest_iteration(run)?.is_some() => return Ok(None),
+        Some(run) if checkpoint::newest_iteration(run)?.is_some() => {
+            if let Err(why) = demand_kept(resolved, run) {
+                tracing::warn!("{why:#}; `s2mia verify` and `s2mia pack` of this run need it");
+            }
+            return Ok(None);
+        }
         Some(run) => of_file(&run.join(START_POLICIES))?,
     };
     demand_digest(resolved, &bytes)?;
@@ -87,7 +92,7 @@ pub(crate) fn demand_kept(resolved: &Resolved, folder: &Path) -> anyhow::Result<
     let found = Digest::of(&of_file(&file)?).to_string();
     ensure!(
         found == expected,
-        "{} has the SHA-256 {found}, the settings have {expected}",
+        "{} has the SHA-256 {found}, the settings have {expected}; restore it from the run that {START} names, or from a pack",
         file.display()
     );
     Ok(())

@@ -169,6 +169,9 @@ fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
     fs::write(&manifest, content.replace("\"seed\": 7", "\"seed\": 8")).unwrap();
     assert!(doubted(&folder, 1).contains("manifest.json is missing, or it has been changed"));
 
+    let (folder, starts) = changed("start", "starts.jsonl");
+    change(&starts, |_| true, |line| line["seed"] = 8.into());
+    assert!(doubted(&folder, 1).contains("starts.jsonl, line 1: seed is 8, manifest.json has 7"));
     let (folder, starts) = changed("starts", "starts.jsonl");
     fs::write(&starts, "").unwrap();
     let no_start = "starts.jsonl is missing or has no line";

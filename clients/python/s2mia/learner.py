@@ -100,11 +100,7 @@ class Learner:
         call, if the learner does not answer or refuses the call.
         """
         check(client, "the name of the client")
-        options = [
-            ("grpc.max_receive_message_length", MAX_DESCRIPTION_BYTES),
-            # A registration ends with its connection, so channels must not share connections.
-            ("grpc.use_local_subchannel_pool", 1),
-        ]
+        options = [("grpc.max_receive_message_length", MAX_DESCRIPTION_BYTES)]
         self._connection = Connection(
             address,
             wire.LearnerServiceStub,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from s2mia.simulator import OneEnvironment, Simulator, demand_settings
-from s2mia.values import AgentSpec, Numbers, numbers
+from s2mia.values import AgentSpec, Numbers, Seed, numbers
 
 try:
     from gymnasium.spaces import Box, Discrete, Space
@@ -19,7 +19,7 @@ except ModuleNotFoundError as missing:
 def parallel_env(
     task: str | os.PathLike[str],
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     render_mode: str | None = None,
     disturbances: str = "training",
     **settings: Any,
@@ -84,7 +84,7 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
         return self.action_spaces[agent]
 
     def reset(
-        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+        self, seed: Seed | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Numbers], dict[str, dict[str, Any]]]:
         """Starts the next episode or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation."""
         self.begin(seed, options)

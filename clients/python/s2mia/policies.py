@@ -12,7 +12,7 @@ from s2mia._native import Team as Native
 from s2mia.acting import Acting, Agent, Description
 from s2mia.error import RunError
 from s2mia.settings import task_text, text_of
-from s2mia.values import Numbers, agent_fields, checked_seed
+from s2mia.values import Numbers, Seed, agent_fields, checked_seed
 
 
 class Policies(Acting):
@@ -45,7 +45,7 @@ class Policies(Acting):
 
 
 def load(
-    run: str | os.PathLike[str], seed: int | None = None, *, checkpoint: str | int | os.PathLike[str] | None = None
+    run: str | os.PathLike[str], seed: Seed | None = None, *, checkpoint: str | int | os.PathLike[str] | None = None
 ) -> Policies:
     """Loads the policies of a run's newest checkpoint, or of a checkpoint's folder.
 
@@ -61,7 +61,7 @@ def load(
     return _made(lambda own: Native(place, own, which), seed, again)
 
 
-def pretrained(task: str | os.PathLike[str], seed: int | None = None) -> Policies:
+def pretrained(task: str | os.PathLike[str], seed: Seed | None = None) -> Policies:
     """The trained team that comes with the package for a task, as `load` returns one.
 
     Raises `RunError` if there is none; its line names the nearest task or how to train one.
@@ -77,7 +77,7 @@ def _absolute(path: str | os.PathLike[str]) -> str:
     return os.path.abspath(place) if os.path.exists(place) else text
 
 
-def _made(native: Callable[[int | None], Native], seed: int | None, made: Callable[[], Policies]) -> Policies:
+def _made(native: Callable[[int | None], Native], seed: Seed | None, made: Callable[[], Policies]) -> Policies:
     """Policies of `native` for a checked seed; `made` makes them once more."""
     own = checked_seed(seed)
     try:

@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from s2mia.error import RunError
 from s2mia.settings import arguments, assignments, text_of
+from s2mia.values import Seed
 
 if TYPE_CHECKING:
     from s2mia.policies import Policies
@@ -23,7 +24,7 @@ _CONFIG, _MANIFEST = "config.toml", "manifest.json"
 _POLICY = "policy.safetensors"
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, init=False)
 class Run:
     """A run folder, also given by one of its checkpoints. The run may have ended, been stopped, or still be training.
 
@@ -33,8 +34,8 @@ class Run:
     folder: pathlib.Path
     """Its absolute path."""
 
-    def __post_init__(self) -> None:
-        given = folder_of(self.folder)
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        given = folder_of(folder)
         found = run_of(given)
         if not is_run(found):
             missing = next((name for name in (_CONFIG, _MANIFEST) if not (found / name).is_file()), None)
@@ -53,7 +54,7 @@ class Run:
         return [line for line in lines(self.folder) if line["kind"] == "evaluation"]
 
     def load(
-        self, seed: int | None = None, *, checkpoint: str | int | os.PathLike[str] | None = None
+        self, seed: Seed | None = None, *, checkpoint: str | int | os.PathLike[str] | None = None
     ) -> "Policies":
         """The newest policies, or those of a checkpoint, as `s2mia.load` returns them."""
         # Only this needs the native module.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from s2mia._native import Environments
 from s2mia.settings import absolute, arguments, by_key
-from s2mia.values import AgentSpec, Numbers, agent_fields, checked_seed, whole
+from s2mia.values import AgentSpec, Numbers, Seed, agent_fields, checked_seed, whole
 
 RENDER_MODE = "rgb_array"
 _REWARD = struct.Struct("<f")
@@ -51,7 +51,7 @@ class Simulator:
         self,
         task: str | os.PathLike[str],
         settings: Mapping[str, Any],
-        seed: int | None,
+        seed: Seed | None,
         disturbances: str,
         num_envs: int = 1,
         threads: int = 1,
@@ -75,7 +75,7 @@ class Simulator:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._arguments
 
-    def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+    def reset(self, seed: Seed | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
         given = options or {}
         if not isinstance(given, Mapping):
@@ -162,7 +162,7 @@ class OneEnvironment:
     def close(self) -> None:
         """Does nothing."""
 
-    def begin(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+    def begin(self, seed: Seed | None, options: Mapping[str, Any] | None) -> None:
         """Starts an episode."""
         self.simulator.reset(seed, options)
         self.is_running = True

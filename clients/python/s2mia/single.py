@@ -9,7 +9,7 @@ import numpy as np
 from s2mia import _native
 from s2mia.settings import by_key, task_text
 from s2mia.simulator import OneEnvironment, Simulator, demand_settings
-from s2mia.values import Numbers, numbers
+from s2mia.values import Numbers, Seed, numbers
 
 try:
     from gymnasium import Env
@@ -25,7 +25,7 @@ _WITHOUT_EFFECT = ("observation.mode", "observation.nearest", "observation.globa
 def gym_env(
     task: str | os.PathLike[str],
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     render_mode: str | None = None,
     disturbances: str = "training",
     **settings: Any,
@@ -61,7 +61,7 @@ class SingleSimulator(OneEnvironment, Env[Numbers, Any]):
         self.action_space: Space[Any] = MultiDiscrete(choices) if choices else Box(-1.0, 1.0, (size,), np.float32)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Numbers, dict[str, Any]]:
         """Starts the next episode or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation."""
         self.begin(seed, options)

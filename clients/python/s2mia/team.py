@@ -10,7 +10,7 @@ import numpy as np
 from s2mia import wire
 from s2mia.acting import Acting, Agent, Description
 from s2mia.connection import Connection, Tls
-from s2mia.values import Actuator, Numbers, checked_seed
+from s2mia.values import Actuator, Numbers, Seed, checked_seed
 
 
 # The server refuses larger observations, and ends the stream.
@@ -23,7 +23,7 @@ class Team(Acting):
     def __init__(
         self,
         address: str,
-        seed: int | None = None,
+        seed: Seed | None = None,
         *,
         tls: Tls | None = None,
         insecure_allow_remote: bool = False,

@@ -73,6 +73,10 @@ def agent_fields(about: dict[str, Any]) -> dict[str, Any]:
     return {**about, "actuators": [Actuator(**own) for own in about["actuators"]]}
 
 
+# A seed.
+Seed = int | np.integer[Any]
+
+
 def whole(name: str, value: Any, least: int, most: int) -> int:
     """The value. Raises `ValueError` if it is no whole number from `least` to `most`."""
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -81,7 +85,7 @@ def whole(name: str, value: Any, least: int, most: int) -> int:
     return int(value)
 
 
-def checked_seed(seed: int | None, most: int = 2**64 - 1) -> int | None:
+def checked_seed(seed: Seed | None, most: int = 2**64 - 1) -> int | None:
     """The seed. Raises `ValueError` if it is no whole number from 0 to `most`."""
     return None if seed is None else whole("seed", seed, 0, most)
 

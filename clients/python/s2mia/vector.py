@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from s2mia.simulator import Simulator, demand_settings
-from s2mia.values import Numbers, numbers
+from s2mia.values import Numbers, Seed, numbers
 
 try:
     from gymnasium.spaces import Box, MultiDiscrete, Space
@@ -25,7 +25,7 @@ def vector_env(
     num_envs: int = 1,
     *,
     threads: int = 1,
-    seed: int | None = None,
+    seed: Seed | None = None,
     disturbances: str = "training",
     **settings: Any,
 ) -> "VectorSimulator":
@@ -73,7 +73,7 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
     def __copy__(self) -> "VectorSimulator":
         return copy.deepcopy(self)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Numbers, dict[str, Any]]:
+    def reset(self, *, seed: Seed | None = None, options: dict[str, Any] | None = None) -> tuple[Numbers, dict[str, Any]]:
         """Starts the next episodes or, with a seed, episode 0. `options["limit"]` is the number of steps until truncation, of
         all environments or of each, `[E]`."""
         self.simulator.reset(seed, options)

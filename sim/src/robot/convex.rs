@@ -3,6 +3,7 @@
 //! They have no mass and no pose of their own, so the engine adds exactly nothing to a link's mass properties. Contacts
 //! need the corners of the shape that are farthest in a direction: the support feature.
 
+mod edges;
 mod nearest;
 
 use std::sync::Arc;
@@ -221,6 +222,16 @@ impl Convex {
                     corners.map(|corner| Vector::from_array(hull.points[corner as usize]));
                 (b - a).cross(c - a).normalize_or_zero().dot(inside) > ON_FACE
             }),
+        }
+    }
+
+    /// Whether it and `other`, both boxes, touch with edges. `between` is the pose of the other's link in this one's.
+    pub(crate) fn edges_touch(&self, other: &Self, between: &Pose) -> bool {
+        match (&self.form, &other.form) {
+            (Form::Box(own), Form::Box(theirs)) => {
+                edges::cross([*own, *theirs], &self.pose.inv_mul(&(*between * other.pose)))
+            }
+            _ => false,
         }
     }
 

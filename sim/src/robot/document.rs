@@ -129,8 +129,9 @@ impl Element {
         let found = words.iter().find(|(known, _)| *known == word);
         found.map(|(_, meaning)| *meaning).ok_or_else(|| {
             let known: Vec<&str> = words.iter().map(|(known, _)| *known).collect();
+            let choice = if known.len() > 1 { "set one of " } else { "set " };
             let (word, known) = (start(word), known.join(", "));
-            self.refuse_for(name, format!("{name}=\"{word}\" is not supported; set one of {known}"))
+            self.refuse_for(name, format!("{name}=\"{word}\" is not supported; {choice}{known}"))
         })
     }
 
@@ -194,7 +195,11 @@ impl Element {
         let found = list.len();
         let array = list
             .try_into()
-            .map_err(|_| format!("`{name}` must have {N} numbers, it has {found}"))
+            .map_err(|_| {
+                let needed =
+                    if N == 1 { "be one number".to_owned() } else { format!("have {N} numbers") };
+                format!("`{name}` must {needed}, it has {found}")
+            })
             .map_err(|reason| self.refuse_for(name, reason))?;
         Ok(Some(array))
     }

@@ -21,6 +21,9 @@ pub(super) fn control_ranges(
         }
         return Ok(motors.iter().map(|motor| motor.range).collect());
     }
+    if row.scale.is_some() && motors.iter().all(|motor| held_control(motor, 0.0).is_none()) {
+        return Err(refused("actions.scale is for servos of the position, and the model has none"));
+    }
     let pose = rules.start_pose(robot).0;
     let range = |(index, motor): (usize, &MotorPlan)| {
         let [low, high] = motor.range;

@@ -81,6 +81,20 @@ pub(super) fn spread(motion: &Motion<'_>, bodies: &[Place]) -> f32 {
     pairs.sum::<f32>() / count as f32
 }
 
+/// Whether a body of the row is unknown or moves.
+fn can_change(row: &TermRow, robot: &Robot) -> bool {
+    let goal = match &row.to {
+        Some(Goal::Body(name)) => Some(name),
+        _ => None,
+    };
+    let mut named = row.of.iter().chain(goal).chain(row.bodies.iter().flatten()).peekable();
+    let moves = |name: &String| {
+        let body = robot.bodies().iter().position(|body| body == name);
+        body.is_none_or(|body| robot.tree_of_body(body).is_some())
+    };
+    named.peek().is_none() || named.any(moves)
+}
+
 impl BodyTerm {
     pub(super) fn value(&self, step: &Transition<'_>) -> f32 {
         match self {
@@ -120,6 +134,10 @@ impl BodyTerm {
             return Err(refused(format!("{place}.along names no axis")));
         }
         check_repeats(&format!("{place}.along"), &along)?;
+        if !can_change(row, robot) {
+            let why = "is constant, because all its bodies are fixed to the world";
+            return Err(refused(format!("{place} {why}; name one that moves")));
+        }
         Ok(match row.term {
             TermName::Approach => Self::Approach { between: between()?, along },
             TermName::Progress => match row.along.as_deref() {

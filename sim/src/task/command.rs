@@ -120,6 +120,9 @@ impl CommandRanges {
         ];
         let stated = rows.into_iter().filter_map(|(heading, range)| Some((heading, range?)));
         let components: Vec<(Heading, [f32; 2])> = stated.collect();
+        if components.is_empty() && row.of.is_some() {
+            return Err(refused("command.of needs a target: forward, sideways or yaw"));
+        }
         for (heading, range) in &components {
             let bounds = [-FASTEST_COMMAND, FASTEST_COMMAND];
             ascending(&format!("command.{}", heading.word()), *range, bounds)?;

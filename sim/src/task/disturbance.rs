@@ -69,6 +69,7 @@ impl DisturbanceRanges {
         features: &[FeatureSpec],
     ) -> Result<Self, SimError> {
         row.check()?;
+        check_effects(row, robot)?;
         let loaded = links("payload", row.payload.iter().map(|payload| &payload.link), robot)?;
         let pushed = links("push", row.push.iter().map(|push| &push.link), robot)?;
         let pushes = row.push.iter().zip(pushed);
@@ -254,6 +255,25 @@ impl DisturbanceRanges {
             }
         }
     }
+}
+
+/// Refuses what cannot disturb this robot.
+fn check_effects(row: &DisturbanceRow, robot: &Robot) -> Result<(), SimError> {
+    let damped = robot.layout.hinges.iter().any(|hinge| hinge.plan.damping != 0.0);
+    let falls = robot.blueprint.gravity != Vector::ZERO;
+    for (refuses, why) in [
+        (
+            row.joint_damping.is_some() && !damped,
+            "joint_damping is a factor of damping, and no joint of the model has any",
+        ),
+        (row.slope.is_some() && !falls, "slope turns gravity, and the model has none"),
+        (row.in_evaluations && row.lines().is_empty(), "in_evaluations needs a disturbance"),
+    ] {
+        if refuses {
+            return Err(refused(format!("disturbance.{why}; remove it")));
+        }
+    }
+    Ok(())
 }
 
 /// Fixed shapes of the bodies that the terrain names, each with its row.

@@ -92,6 +92,10 @@ impl Rules {
             audience: file.state.disturbances,
             of_root: of_root(file),
         };
+        if rules.audience != Audience::Nobody && rules.described == 0 {
+            let why = "shows what an episode draws, and [disturbance] states nothing of the kind";
+            return Err(refused(format!("state.disturbances {why}; remove it")));
+        }
         if let Some(largest) = rules.largest_velocity {
             within("state.largest_velocity", largest, 1e-3, 1e6)?;
         }
@@ -317,6 +321,7 @@ fn checked_healthy(
             (Watched::Upright(tilt), name)
         }
         (None, Some(name)) => {
+            check_measured(name, features, robot)?;
             let names = Names::new("feature in its global state", features);
             (Watched::Feature(names.index("healthy.feature", name)?), name)
         }
@@ -341,6 +346,22 @@ fn checked_healthy(
             "{place}: the lower bound {low} (above, at_least) is not below {high} (below, at_most)"
         )))
     }
+}
+
+/// Refuses a feature that exists but cannot be in `healthy`, with the reason.
+fn check_measured(name: &str, measured: &[String], robot: &Robot) -> Result<(), SimError> {
+    let coordinate = name.strip_suffix(".position").unwrap_or_default();
+    let is_measured = measured.iter().any(|own| own == name);
+    if !is_measured && robot.coordinate_names().iter().any(|own| own == coordinate) {
+        let instead = format!("write `coordinate = \"{coordinate}\"`");
+        return Err(refused(format!("healthy.feature: state.hidden hides `{name}`; {instead}")));
+    }
+    let is_drawn = ["command.", "disturbance."].iter().any(|start| name.starts_with(start));
+    if !is_measured && is_drawn {
+        let why = "is drawn, not measured; name a position or a velocity";
+        return Err(refused(format!("healthy.feature: `{name}` {why}")));
+    }
+    Ok(())
 }
 
 /// Indices of the coordinates that are not hidden.

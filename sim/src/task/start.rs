@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::definition::{refused, within};
 use super::names::Names;
-use crate::error::SimError;
+use crate::error::{SimError, short};
 use crate::noise;
 use crate::robot::{Keyframe, Robot};
 
@@ -120,31 +120,32 @@ impl Start {
         let names = robot.coordinate_names();
         let key = |index: usize| match &row.keyframe {
             Some(_) if !row.coordinates.contains_key(&names[index]) => "start.keyframe",
+            None if !row.coordinates.contains_key(&names[index]) => "the model's start",
             _ => "start.coordinates",
         };
         let mut pose = robot.rest().to_vec();
         start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
         for first in &bounds.orientations {
-            let place = "start.positions and start.noise (largest noise of a quaternion)";
             let turn = *first..first + 4;
             let turned = start.coordinates.iter().any(|(index, _)| turn.contains(index));
             let reach = reaches[turn.clone()].iter().copied().fold(0.0, f32::max);
-            within(place, reach, 0.0, if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST })?;
+            let most = if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST };
+            if reach > most {
+                let what = format!("the noise of `{}` is at most {}", names[*first], short(reach));
+                let why = format!("allowed is {most}; normal noise ends at 5.77 deviations");
+                return Err(refused(format!("start.positions and start.noise: {what}, {why}")));
+            }
             let length = pose[turn].iter().map(|q| q * q).sum::<f32>().sqrt();
             within(&format!("{} (length of a quaternion)", key(*first)), length, 0.99, 1.01)?;
         }
         let turns = |index: usize| {
             bounds.orientations.iter().any(|first| (*first..first + 4).contains(&index))
         };
-        for (index, (value, [low, high])) in pose.iter().zip(&bounds.coordinates).enumerate() {
-            let reach = reaches[index];
-            let is_within = value - reach >= *low && value + reach <= *high;
-            if !turns(index) && !is_within {
-                return Err(refused(format!(
-                    "{}, with the noise: the start moves `{}` out of {low}..={high}",
-                    key(index),
-                    names[index]
-                )));
+        for (index, (value, bounds)) in pose.iter().zip(&bounds.coordinates).enumerate() {
+            let (place, offset) =
+                (format!("{}: `{}`", key(index), names[index]), robot.reference()[index]);
+            if !turns(index) {
+                check_coordinate(&place, (*value, reaches[index]), *bounds, offset)?;
             }
         }
         start.orientations.clone_from(&bounds.orientations);
@@ -248,6 +249,23 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
         activations: single(activations),
         ..Start::default()
     })
+}
+
+/// Refuses a coordinate that its noise can move out of the bounds of a state, which are less than the model's own by `offset`.
+fn check_coordinate(
+    place: &str,
+    (value, reach): (f32, f32),
+    [low, high]: [f32; 2],
+    offset: f32,
+) -> Result<(), SimError> {
+    if value - reach >= low && value + reach <= high {
+        return Ok(());
+    }
+    let [at, low, high] = [value, low, high].map(|number| short(number + offset));
+    let noise = if reach > 0.0 { format!(" ± {}", short(reach)) } else { String::new() };
+    let why = "out of what a state can have (limits, and 3 rad or m more)";
+    let start = format!("{place} starts at {at}{noise}");
+    Err(refused(format!("{start}, {why}, {low}..={high}; change it by start.coordinates")))
 }
 
 /// The largest noise that a distribution draws.

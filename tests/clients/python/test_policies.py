@@ -30,6 +30,14 @@ def team(policies):
         one.close()
 
 
+def test_one_process_may_open_more_teams_than_a_connection_has_streams(team):
+    game = Cue()
+    game.reset(0, 50, np.random.default_rng(1))
+    seen = {f"agent_{agent}": row for agent, row in enumerate(game.observe()[1])}
+    choices = [tuple(int(choice) for choice in team().act(seen).values()) for _ in range(20)]
+    assert choices == 20 * choices[:1]
+
+
 def test_a_served_team_has_the_agents_of_the_loaded_one():
     server = Serving("quadruped-4x3")
     try:

@@ -124,10 +124,12 @@ fn add_element(class: &mut Defaults, outside: &Defaults, child: &Element) -> Res
         laws::overlay(&mut merged, child, &law);
         check_size(child, &law)?;
         let law = Rc::new(law);
+        let general = Rc::new(with_inherited_range(&law, class.get("general")));
         for kind in LAWS {
             // The law of another kind leaves that of the class around this one.
             let applies = [kind, "general"].contains(&child.tag.as_str()) || kind == "general";
-            match if applies { Some(&law) } else { outside.get(kind) } {
+            let law = if kind == "general" { &general } else { &law };
+            match if applies { Some(law) } else { outside.get(kind) } {
                 Some(law) => class.insert(kind.to_owned(), Rc::clone(law)),
                 None => class.remove(kind),
             };
@@ -138,6 +140,16 @@ fn add_element(class: &mut Defaults, outside: &Defaults, child: &Element) -> Res
     check_size(child, &merged)?;
     class.insert(tag.to_owned(), Rc::new(merged));
     Ok(())
+}
+
+/// The law of `general` after one of any kind: `inheritrange` of the laws before remains.
+fn with_inherited_range(law: &Element, before: Option<&Rc<Element>>) -> Element {
+    const NAME: &str = "inheritrange";
+    let mut law = law.clone();
+    if let Some(share) = before.and_then(|before| before.text(NAME)) {
+        law.attributes.entry(NAME.to_owned()).or_insert_with(|| share.to_owned());
+    }
+    law
 }
 
 fn check_size(child: &Element, merged: &Element) -> Result<(), String> {

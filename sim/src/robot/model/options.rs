@@ -100,7 +100,7 @@ const SOLVER: [&str; 17] = [
     "cone",
     "apirate",
 ];
-/// Flags that do not change the motion, or only MuJoCo's solver.
+/// Flags that do not change the motion, or only MuJoCo's solver and contact points.
 const FLAGS: [&str; 11] = [
     "energy",
     "fwdinv",

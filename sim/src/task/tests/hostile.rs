@@ -128,6 +128,8 @@ fn environments_of(file: &str) -> Result<Box<dyn EnvironmentBatch>, String> {
         "<geom name=\"floor\"",
         "<geom type=\"box\" size=\"1 1 0.1\" pos=\"9 0 0\" conaffinity=\"1\"/><geom name=\"floor\"",
     );
+    let servo = model.replace("<motor name=\"hip_4\"", "<position kp=\"1\" name=\"hip_4\"");
+    let model = servo.replace("joint=\"hip_4\" gear=\"150\"", "joint=\"hip_4\"");
     let keyframe = "<keyframe><key name=\"home\" qpos=\"0 0 0.75 1 0 0 0 0 1 0 -1 0 -1 0 1\"/></keyframe></mujoco>";
     config.definition.as_mut().unwrap().model = model.replace("</mujoco>", keyframe);
     environments(&config, 1).map_err(|error| error.to_string())
@@ -315,4 +317,52 @@ fn after_a_fault_everything_seen_is_that_of_the_state_which_is_encoded() {
         seen
     };
     assert_eq!(seen(&*first), seen(&*second));
+}
+
+#[test]
+fn keys_without_an_effect_are_refused_with_the_reason() {
+    let hidden = "hidden = [\"rootx\"]";
+    let critic = changed(hidden, &format!("{hidden}\ndisturbances = \"critic\""));
+    let edges = "edges = [[\"hip\", \"knee\"]]";
+    let touching = "touching = [{ joint = \"hip\", bodies = [] }]";
+    let healthy = |feature: &str| format!("[[healthy]]\nfeature = \"{feature}\"\nabove = -1");
+    let drawn = format!("{}\n[command]\nforward = [0, 1]", healthy("command.forward"));
+    let approach = "[[reward]]\nterm = \"approach\"\nweight = 1\nof = \"world\"\nto = [1, 0, 0]";
+    let added = |lines: &str| format!("{HOPPER}\n{lines}");
+    for (file, part) in [
+        (added("[command]\nof = \"torso\""), "command.of needs a target: forward, sideways or yaw"),
+        (
+            added("[disturbance]\nin_evaluations = true"),
+            "in_evaluations needs a disturbance; remove",
+        ),
+        (
+            critic,
+            "state.disturbances shows what an episode draws, and [disturbance] states nothing",
+        ),
+        (changed(edges, touching), "neighbourhood.touching: the row of `hip` has no bodies; name"),
+        (added(approach), "reward.approach is constant, because all its bodies are fixed to the"),
+        (
+            added("[actions]\naround = \"start\"\nscale = 1"),
+            "actions.scale is for servos of the position, and the model has none",
+        ),
+        (
+            added(&healthy("rootx.position")),
+            "healthy.feature: state.hidden hides `rootx.position`; write `coordinate = \"rootx\"`",
+        ),
+        (
+            added(&drawn),
+            "healthy.feature: `command.forward` is drawn, not measured; name a position",
+        ),
+    ] {
+        let message = refusal(&file);
+        assert!(message.contains(part), "{message}");
+    }
+    let mut config = config(
+        &added("[disturbance]\njoint_damping = [0, 1]\nslope = [0, 0.1]"),
+        ObservationMode::FullId,
+    );
+    let definition = config.definition.as_mut().unwrap();
+    definition.model = definition.model.replace("damping=\"1\"", "damping=\"0\"");
+    let message = environments(&config, 1).err().expect("no joint is damped").to_string();
+    assert!(message.contains("joint_damping is a factor of damping, and no joint"), "{message}");
 }

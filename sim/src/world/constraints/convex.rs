@@ -8,7 +8,8 @@ use super::pair::Pair;
 use crate::robot::Convex;
 
 /// Finds the contacts of convex shapes anew that the engine finds roughly: those of an ellipsoid or a cylinder, and wrong ones. Of
-/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them.
+/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them and, of
+/// two boxes, no edges touch.
 pub(super) fn sharpen(
     shapes: [&dyn Shape; 2],
     between: &Pose,
@@ -26,7 +27,12 @@ pub(super) fn sharpen(
     }
     let along = [manifold.local_n1, manifold.local_n2];
     let mut faces = convex.iter().zip(along);
-    if !faces.any(|(convex, along)| convex.is_some_and(|convex| convex.has_face(along))) {
+    let has_face = faces.any(|(convex, along)| convex.is_some_and(|own| own.has_face(along)));
+    let edges_touch = match convex {
+        [Some(one), Some(other)] => has_face && one.edges_touch(other, between),
+        _ => false,
+    };
+    if !has_face || edges_touch {
         keep_deepest(manifold);
     }
 }
@@ -86,6 +92,34 @@ mod tests {
             let off = below * point.local_p1 - Vector::new(0.1 * size, 0.0, height);
             assert!(off.length() < 5e-3 * size, "{size}: {off}");
             assert!((point.dist / size + 0.1).abs() < 5e-5, "{size}: {}", point.dist);
+        }
+    }
+
+    /// A box lies across the upper edge of a longer one, tilted along it; then on a face.
+    #[test]
+    fn an_edge_that_crosses_a_slightly_tilted_face_touches_in_one_point() {
+        let shared = |half_sizes| Convex::shared(&Form::Box { half_sizes }, &Pose::IDENTITY);
+        let below = shared([1.0, 0.1, 0.1]);
+        let above = shared([0.08, 0.05, 0.03]);
+        for (roll, tilt, count) in [(45.0_f32, 0.1_f32, 1), (45.0, 0.5, 1), (0.0, 0.1, 5)] {
+            let pose = Pose::from_parts(Vector::ZERO, Rotation::from_rotation_x(roll.to_radians()));
+            let height = if roll == 0.0 { 0.1 } else { 0.1 * std::f32::consts::SQRT_2 };
+            let tilted = Rotation::from_rotation_y(tilt.to_radians());
+            let between =
+                pose.inv_mul(&Pose::from_parts(Vector::Z * (height + 0.03 - 4e-3), tilted));
+            let mut manifold = ContactManifold::<(), ()>::new();
+            let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
+                &between,
+                &*below,
+                &*above,
+                None,
+                None,
+                0.0,
+                &mut manifold,
+            );
+            assert!(found.is_ok());
+            sharpen([&*below, &*above], &between, 0.0, &mut manifold);
+            assert_eq!(manifold.points.len(), count, "{roll} {tilt}");
         }
     }
 

@@ -8,10 +8,10 @@ use rapier3d::parry::shape::{Capsule, PackedFeatureId, Segment};
 
 use super::points::Manifolds;
 
-/// Square of the sine of an angle below which two segments are parallel: their ends are rounded to single precision.
+/// Square of the sine of an angle below which two segments have no crossing: their ends are rounded to single precision.
 const PARALLEL: f64 = 1e-12;
-/// The same, times the squares of half the lengths, in MuJoCo, m^4 (`mjMINVAL`).
-const MUJOCO_PARALLEL: f64 = 1e-15;
+/// The same of two capsules with two contacts, in MuJoCo.
+const TOUCH_TWICE: f64 = 1e-8;
 /// Difference of two equal distances, as a fraction.
 const SAME_DISTANCE: f32 = 1e-5;
 /// Distance of two equal places, as a fraction of the length of both axes.
@@ -77,12 +77,12 @@ pub(super) fn touch_capsules(
     }
 }
 
-/// Whether two axes are parallel, as in MuJoCo or up to rounding.
+/// Whether two axes are parallel, as in MuJoCo.
 fn are_parallel(one: &Segment, other: &Segment) -> bool {
-    let [first, second] = [one, other].map(|line| 0.5 * (line.b - line.a).as_dvec3());
+    let [first, second] = [one, other].map(|line| (line.b - line.a).as_dvec3());
     let squares = first.length_squared() * second.length_squared();
     let along = first.dot(second);
-    squares - along * along < MUJOCO_PARALLEL.max(PARALLEL * squares)
+    squares - along * along <= TOUCH_TWICE * squares
 }
 
 fn point(place: Vector) -> Segment {
@@ -176,6 +176,18 @@ mod tests {
             for (place, expected) in places.zip(expected) {
                 assert!((place - expected).length() < 1e-5, "{scale}: {place}");
             }
+        }
+    }
+
+    #[test]
+    fn capsules_within_a_ten_thousandth_of_a_radian_of_parallel_touch_twice() {
+        for (angle, count) in [(0.9e-4, 2), (1.2e-4, 1)] {
+            let capsule = Capsule::new(-Vector::Z, Vector::Z, RADIUS);
+            let turn = Rotation::from_rotation_x(angle);
+            let between = Pose::from_parts(Vector::new(0.79, 0.0, 0.5), turn);
+            let mut manifolds = Vec::new();
+            touch_capsules([&capsule, &capsule], &between, 0.0, &mut manifolds);
+            assert_eq!(manifolds.len(), count, "{angle}");
         }
     }
 

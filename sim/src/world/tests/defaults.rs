@@ -72,9 +72,7 @@ fn a_default_of_another_kind_of_actuator_is_translated_as_in_mujoco() {
         assert_eq!(law(defaults, actuator), expected, "{defaults} {actuator}");
     }
     let muscle = with_defaults("<muscle/>", ARM, "<general joint='j' ctrlrange='-1 1'/>");
-    assert!(
-        muscle.err().unwrap().contains("gaintype=\"muscle\" is not supported; set one of fixed")
-    );
+    assert!(muscle.err().unwrap().contains("gaintype=\"muscle\" is not supported; set fixed"));
 }
 
 #[test]
@@ -87,6 +85,9 @@ fn the_later_of_a_control_range_and_an_inherited_one_counts() {
     assert_eq!(range("<position ctrlrange=\"-2 2\"/>", own), [-1.0, 1.0]);
     let own = "<position joint=\"j\" ctrlrange=\"-2 2\"/>";
     assert_eq!(range("<position inheritrange=\"0.5\"/>", own), [-2.0, 2.0]);
+    // The law of a later kind leaves it to `general`.
+    let own = "<general joint=\"j\" biastype=\"affine\" biasprm=\"0 -1\" ctrlrange=\"-2 2\"/>";
+    assert_eq!(range("<position inheritrange=\"0.5\"/><motor/>", own), [-0.5, 0.5]);
 }
 
 #[test]
