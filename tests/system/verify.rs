@@ -169,16 +169,6 @@ fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
     fs::write(&manifest, content.replace("\"seed\": 7", "\"seed\": 8")).unwrap();
     assert!(doubted(&folder, 1).contains("manifest.json is missing, or it has been changed"));
 
-    let (folder, starts) = changed("start", "starts.jsonl");
-    change(&starts, |_| true, |line| line["seed"] = 8.into());
-    assert!(doubted(&folder, 1).contains("starts.jsonl, line 1: seed is 8, manifest.json has 7"));
-    let (folder, starts) = changed("starts", "starts.jsonl");
-    fs::write(&starts, "").unwrap();
-    let no_start = "starts.jsonl is missing or has no line";
-    assert!(doubted(&folder, 1).contains(no_start));
-    let line = failed(&["pack", text(&folder), "--out", text(&runs.folder("pack"))], 1);
-    assert!(line.contains(no_start), "{line}");
-
     let (folder, arrays) = changed("arrays", "checkpoints/iter_00000004/weights.safetensors");
     let mut bytes = fs::read(&arrays).unwrap();
     *bytes.last_mut().unwrap() ^= 1;
@@ -196,6 +186,21 @@ fn a_changed_weight_setting_figure_or_checkpoint_is_found_in_one_line() {
     let line = doubted(&folder, 1);
     assert!(line.contains("the policies in the checkpoint of iteration 6 have"), "{line}");
     assert!(line.contains("its weights make"), "{line}");
+}
+
+#[test]
+fn a_start_of_another_run_or_none_is_found_in_one_line() {
+    let runs = Runs::new();
+    let run = runs.folder("run");
+    train(&run, &["run.iterations=2"]);
+    let starts = run.join("starts.jsonl");
+    change(&starts, |_| true, |line| line["seed"] = 8.into());
+    assert!(doubted(&run, 1).contains("starts.jsonl, line 1: seed is 8, manifest.json has 7"));
+    fs::write(&starts, "").unwrap();
+    let no_start = "starts.jsonl is missing or has no line";
+    assert!(doubted(&run, 1).contains(no_start));
+    let line = failed(&["pack", text(&run), "--out", text(&runs.folder("pack"))], 1);
+    assert!(line.contains(no_start), "{line}");
 }
 
 /// Adds a copy of the last line of this kind in `metrics.jsonl`, for another iteration.
