@@ -205,6 +205,13 @@ impl Critic {
         }
     }
 
+    /// Forgets the recurrent state of an environment, which begins a new episode.
+    pub(crate) fn forget(&mut self, environment: usize) {
+        if let Some(memory) = &mut self.memory {
+            memory.forget(environment);
+        }
+    }
+
     /// Trains on the returns `[V][T, B]`; `values` are those before the fit.
     ///
     /// # Errors

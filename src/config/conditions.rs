@@ -22,7 +22,7 @@ pub(super) enum Condition {
     Above0(&'static str),
     /// This number is 0.
     Zero(&'static str),
-    /// Random weights that `policy.head_gain` scales: of the policies, or of q's own head.
+    /// Random weights that `policy.head_gain` scales: of the policies, or of q's second head.
     RandomHead,
     /// The environment has this property.
     Environment(Property),
@@ -84,8 +84,10 @@ impl Condition {
             Self::Above0(key) => Some(number(key) > 0.0),
             Self::Zero(key) => Some(number(key) == 0.0),
             Self::RandomHead => {
-                let own = resolved.text("influence.q_training") == "shared";
-                Some(resolved.text(START).is_empty() || own && number("influence.lambda") > 0.0)
+                let second_head = resolved.text("influence.q_training") == "shared"
+                    && resolved.text("influence.estimator") == "variational_kl"
+                    && number("influence.lambda") > 0.0;
+                Some(resolved.text(START).is_empty() || second_head)
             }
             Self::Environment(property) => run.has(property),
         }

@@ -58,7 +58,7 @@ pub(crate) fn interquartile_range(values: &[f64]) -> Interval {
 }
 
 /// The 95 % interval of `statistic` by the percentile bootstrap: every sample is resampled 2,000 times with
-/// replacement. The draws depend on `key` alone.
+/// replacement. The draws depend on `key` alone. NaN if some resamples lack the statistic.
 pub(crate) fn bootstrap_interval(
     samples: &[&[f64]],
     key: Draw,
@@ -72,6 +72,9 @@ pub(crate) fn bootstrap_interval(
     let statistics: Vec<f64> = (0..RESAMPLES)
         .map(|_| statistic(&samples.iter().map(&mut resampled).collect::<Vec<_>>()))
         .collect();
+    if statistics.iter().any(|value| value.is_nan()) {
+        return Interval { low: f64::NAN, high: f64::NAN };
+    }
     let outside = (1.0 - CONFIDENCE) / 2.0;
     Interval { low: quantile(&statistics, outside), high: quantile(&statistics, 1.0 - outside) }
 }
@@ -217,6 +220,14 @@ mod tests {
         assert!((interval.high - 0.196).abs() < 0.025, "{interval:?}");
         assert_eq!(interval, bootstrap_interval(&[&values], key(), mean));
         assert_ne!(interval, bootstrap_interval(&[&values], key().step(1), mean));
+    }
+
+    #[test]
+    fn a_statistic_that_a_few_resamples_lack_has_no_interval() {
+        let values: Vec<f64> = (0..100).map(f64::from).collect();
+        let lacking = |samples: &[Vec<f64>]| if samples[0][0] == 0.0 { f64::NAN } else { 1.0 };
+        let interval = bootstrap_interval(&[&values], key(), lacking);
+        assert!(interval.low.is_nan() && interval.high.is_nan(), "{interval:?}");
     }
 
     #[test]

@@ -72,8 +72,8 @@ impl Recorded {
         Ok(Self { folder, manifest, config, provenance, metrics, evaluations, checkpoints })
     }
 
-    /// Refuses a run without a line of its start, with one of another run or without a build, or whose copy of the policies from
-    /// which it started is damaged or gone.
+    /// Refuses a run whose `starts.jsonl` has no line, a line of another run or a line without a build, or whose copy of the
+    /// policies from which it started is damaged or gone.
     pub(crate) fn demand_starts(&self) -> anyhow::Result<()> {
         let file = self.folder.join(STARTS);
         for (start, number) in lines(&file)?.iter().zip(1..) {
@@ -82,8 +82,9 @@ impl Recorded {
                 let (found, recorded) = (&start[key], &self.manifest[key]);
                 ensure!(found == recorded, "{place}: {key} is {found}, {MANIFEST} has {recorded}");
             }
-            let unknown = ["version", "git_commit"].into_iter().find(|key| !start[key].is_string());
-            ensure!(unknown.is_none(), "{place}: {} is missing", unknown.unwrap_or_default());
+            for key in ["version", "git_commit"] {
+                ensure!(start[key].is_string(), "{place}: {key} is missing");
+            }
         }
         start::demand_kept(&self.config.resolved, &self.folder)
     }

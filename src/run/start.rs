@@ -89,11 +89,13 @@ pub(crate) fn demand_kept(resolved: &Resolved, folder: &Path) -> anyhow::Result<
         return Ok(());
     }
     let (file, expected) = (folder.join(START_POLICIES), resolved.text(START_SHA256));
-    let found = Digest::of(&of_file(&file)?).to_string();
+    let remedy = || format!("restore it from the run that {START} names, or from a pack");
+    let found = Digest::of(&of_file(&file).with_context(remedy)?).to_string();
+    let place = file.display();
     ensure!(
         found == expected,
-        "{} has the SHA-256 {found}, the settings have {expected}; restore it from the run that {START} names, or from a pack",
-        file.display()
+        "{place} has the SHA-256 {found}, the settings have {expected}; {}",
+        remedy()
     );
     Ok(())
 }

@@ -286,6 +286,11 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("study.toml", "180 runs, 180,000,000 steps", 180),
         ("study-hasac.toml", "20 runs, 2,000,000 steps", runs_in("docs/study-hasac.csv")),
         ("study-mujoco.toml", "117 runs, 117,000,000 steps", runs_in("docs/study-mujoco.csv")),
+        (
+            "study-mujoco-mappo.toml",
+            "117 runs, 117,000,000 steps",
+            runs_in("docs/study-mujoco.csv"),
+        ),
         ("tuning.toml", "36 runs, 7,560,000 steps", 36),
         ("tuning-million.toml", "16 runs, 16,000,000 steps", 16),
         ("tuning-terms.toml", "90 runs, 27,000,000 steps", 90),

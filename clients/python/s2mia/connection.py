@@ -23,7 +23,7 @@ TOKEN = "S2MIA_TOKEN"
 _OPTIONS = [
     # The address is used as it is given, as the program does: http_proxy and its relatives have no effect.
     ("grpc.enable_http_proxy", 0),
-    # Channels share no connection: a registration ends with its connection, which has a limited number of streams.
+    # Channels share no connection: a registration ends with its connection, and a connection has at most 16 streams.
     ("grpc.use_local_subchannel_pool", 1),
     # A learner that requires TLS closes a plain connection before the call, which gRPC would repeat until the deadline.
     ("grpc.enable_retries", 0),

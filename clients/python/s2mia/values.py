@@ -73,7 +73,7 @@ def agent_fields(about: dict[str, Any]) -> dict[str, Any]:
     return {**about, "actuators": [Actuator(**own) for own in about["actuators"]]}
 
 
-# A seed.
+# A seed, also one of NumPy's integers.
 Seed = int | np.integer[Any]
 
 

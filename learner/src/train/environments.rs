@@ -76,11 +76,11 @@ impl Environments {
     }
 
     /// Begins a new episode in an environment that continues one. The steps of the old one so far stay in the results, but
-    /// its return is not reported.
-    pub fn begin_again(&mut self, environment: u32) {
+    /// its return is not reported. Returns whether there is an old one.
+    pub fn begin_again(&mut self, environment: u32) -> bool {
         let environment = environment as usize;
         if !matches!(self.starts[environment], Start::Continue { .. }) {
-            return;
+            return false;
         }
         self.episode_return[environment] = 0.0;
         self.episode_length[environment] = 0;
@@ -88,6 +88,7 @@ impl Environments {
         let episode = self.finished[environment];
         let limit = self.episode_steps;
         self.starts[environment] = Start::Fresh { episode, limit };
+        true
     }
 
     /// The environments whose start state cannot be decoded or is at another position than the environment, and why.

@@ -90,6 +90,12 @@ impl Memory {
         }
     }
 
+    /// Replaces the carried state of an environment by zeros.
+    pub(super) fn forget(&mut self, environment: usize) {
+        let state = self.carried.chunks_exact_mut(self.width).nth(environment);
+        state.into_iter().for_each(|state| state.fill(0.0));
+    }
+
     /// Visits the carried states, `[B, H]`; `[0, H]` before the first rollout.
     pub(super) fn visit(&mut self, name: &str, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
         visitor.array(name, ArrayShape::Rows(&[self.width]), Elements::F32(&mut self.carried))

@@ -24,6 +24,10 @@ pub trait Algorithm: StoredState + Send {
     /// what its policies do. It is not part of the stored state, so the caller sets it before every snapshot.
     fn scale_noise(&mut self, share: f64);
 
+    /// Learns that the next rollout begins a new episode in this environment, although the last one ended in the middle of an
+    /// episode.
+    fn begin_again(&mut self, environment: usize);
+
     /// Updates the policies once with the rollout data of iteration `iteration` and their rewards.
     ///
     /// # Errors

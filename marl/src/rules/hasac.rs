@@ -238,6 +238,10 @@ impl Algorithm for Hasac {
         self.noise_share = share as f32;
     }
 
+    fn begin_again(&mut self, environment: usize) {
+        self.experience.begin_again(environment);
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

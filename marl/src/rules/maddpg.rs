@@ -83,6 +83,10 @@ impl Algorithm for Maddpg {
     /// The agents share no noise.
     fn scale_noise(&mut self, _share: f64) {}
 
+    fn begin_again(&mut self, environment: usize) {
+        self.experience.begin_again(environment);
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

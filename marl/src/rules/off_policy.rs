@@ -72,6 +72,11 @@ impl ReplayedExperience {
         Ok(self.due(self.replay.rows_added()) - self.due(before))
     }
 
+    /// Cuts the episode of an environment off after its newest step.
+    pub(crate) fn begin_again(&mut self, environment: usize) {
+        self.replay.cut_off(environment);
+    }
+
     /// The transitions of optimiser step `step` of `iteration`, whose rewards contain the surprise if there is one.
     ///
     /// # Errors

@@ -77,6 +77,10 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
         }
     }
 
+    fn begin_again(&mut self, environment: usize) {
+        self.team.critic.forget(environment);
+    }
+
     fn update(
         &mut self,
         batch: &Batch,

@@ -225,11 +225,12 @@ impl Convex {
         }
     }
 
-    /// Whether it and `other`, both boxes, touch with edges. `between` is the pose of the other's link in this one's.
+    /// Whether it and `other` are boxes that touch at two crossing edges. `between` is the pose of the other's link in this one's.
     pub(crate) fn edges_touch(&self, other: &Self, between: &Pose) -> bool {
         match (&self.form, &other.form) {
             (Form::Box(own), Form::Box(theirs)) => {
-                edges::cross([*own, *theirs], &self.pose.inv_mul(&(*between * other.pose)))
+                let between = self.pose.inv_mul(&(*between * other.pose));
+                edges::overlap_least([*own, *theirs], &between)
             }
             _ => false,
         }

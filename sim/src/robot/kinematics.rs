@@ -83,6 +83,11 @@ impl Robot {
 }
 
 impl Place {
+    /// Whether it is fixed to the world.
+    pub(crate) fn is_fixed(&self) -> bool {
+        self.joints.is_empty()
+    }
+
     /// A point that is fixed to the world, m.
     pub(crate) fn point(at: [f32; 3]) -> Self {
         let position = DVec3::from_array(at.map(f64::from));

@@ -1,5 +1,7 @@
 //! Terms of a reward about bodies: objects, targets, and robots of a team.
 
+use std::slice;
+
 use rapier3d::glamx::DVec3;
 use serde::Deserialize;
 
@@ -81,20 +83,6 @@ pub(super) fn spread(motion: &Motion<'_>, bodies: &[Place]) -> f32 {
     pairs.sum::<f32>() / count as f32
 }
 
-/// Whether a body of the row is unknown or moves.
-fn can_change(row: &TermRow, robot: &Robot) -> bool {
-    let goal = match &row.to {
-        Some(Goal::Body(name)) => Some(name),
-        _ => None,
-    };
-    let mut named = row.of.iter().chain(goal).chain(row.bodies.iter().flatten()).peekable();
-    let moves = |name: &String| {
-        let body = robot.bodies().iter().position(|body| body == name);
-        body.is_none_or(|body| robot.tree_of_body(body).is_some())
-    };
-    named.peek().is_none() || named.any(moves)
-}
-
 impl BodyTerm {
     pub(super) fn value(&self, step: &Transition<'_>) -> f32 {
         match self {
@@ -134,11 +122,7 @@ impl BodyTerm {
             return Err(refused(format!("{place}.along names no axis")));
         }
         check_repeats(&format!("{place}.along"), &along)?;
-        if !can_change(row, robot) {
-            let why = "is constant, because all its bodies are fixed to the world";
-            return Err(refused(format!("{place} {why}; name one that moves")));
-        }
-        Ok(match row.term {
+        let term = match row.term {
             TermName::Approach => Self::Approach { between: between()?, along },
             TermName::Progress => match row.along.as_deref() {
                 None => Self::Progress { of: of()?, axis: WorldAxis::X },
@@ -161,6 +145,20 @@ impl BodyTerm {
                     .map_or(Ok(()), |sigma| within(&format!("{place}.sigma"), sigma, 1e-3, 1e3))?;
                 Self::Distance { between: between()?, along, sigma }
             }
-        })
+        };
+        if term.places().iter().all(Place::is_fixed) {
+            let why = "is constant, because all its bodies are fixed to the world";
+            return Err(refused(format!("{place} {why}; name one that moves")));
+        }
+        Ok(term)
+    }
+
+    /// What it measures.
+    fn places(&self) -> &[Place] {
+        match self {
+            Self::Distance { between, .. } | Self::Approach { between, .. } => between,
+            Self::Progress { of, .. } | Self::Height { of } => slice::from_ref(of),
+            Self::Spread { bodies } => bodies,
+        }
     }
 }

@@ -267,7 +267,10 @@ fn check_effects(row: &DisturbanceRow, robot: &Robot) -> Result<(), SimError> {
             "joint_damping is a factor of damping, and no joint of the model has any",
         ),
         (row.slope.is_some() && !falls, "slope turns gravity, and the model has none"),
-        (row.in_evaluations && row.lines().is_empty(), "in_evaluations needs a disturbance"),
+        (
+            row.in_evaluations && row.lines().is_empty(),
+            "in_evaluations has no effect without a disturbance",
+        ),
     ] {
         if refuses {
             return Err(refused(format!("disturbance.{why}; remove it")));

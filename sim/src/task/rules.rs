@@ -93,7 +93,7 @@ impl Rules {
             of_root: of_root(file),
         };
         if rules.audience != Audience::Nobody && rules.described == 0 {
-            let why = "shows what an episode draws, and [disturbance] states nothing of the kind";
+            let why = "has no effect, because [disturbance] states nothing that can be observed";
             return Err(refused(format!("state.disturbances {why}; remove it")));
         }
         if let Some(largest) = rules.largest_velocity {

@@ -128,10 +128,13 @@ impl Start {
         for first in &bounds.orientations {
             let turn = *first..first + 4;
             let turned = start.coordinates.iter().any(|(index, _)| turn.contains(index));
-            let reach = reaches[turn.clone()].iter().copied().fold(0.0, f32::max);
+            let of_turn = turn.clone().map(|index| (index, reaches[index]));
+            let (noisiest, reach) =
+                of_turn.fold((*first, 0.0), |most, own| if own.1 > most.1 { own } else { most });
             let most = if turned { LARGEST_TURN } else { LARGEST_TURN_FROM_REST };
             if reach > most {
-                let what = format!("the noise of `{}` is at most {}", names[*first], short(reach));
+                let what =
+                    format!("the noise of `{}` is at most {}", names[noisiest], short(reach));
                 let why = format!("allowed is {most}; normal noise ends at 5.77 deviations");
                 return Err(refused(format!("start.positions and start.noise: {what}, {why}")));
             }
@@ -251,21 +254,25 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     })
 }
 
-/// Refuses a coordinate that its noise can move out of the bounds of a state, which are less than the model's own by `offset`.
+/// Refuses a coordinate that its noise can move out of the bounds of a state. All are relative to the reference `offset`.
 fn check_coordinate(
     place: &str,
     (value, reach): (f32, f32),
     [low, high]: [f32; 2],
     offset: f32,
 ) -> Result<(), SimError> {
-    if value - reach >= low && value + reach <= high {
+    let is_inside = |reach: f32| value - reach >= low && value + reach <= high;
+    if is_inside(reach) {
         return Ok(());
     }
-    let [at, low, high] = [value, low, high].map(|number| short(number + offset));
+    let [at, lowest, highest] = [value, low, high].map(|number| short(number + offset));
     let noise = if reach > 0.0 { format!(" ± {}", short(reach)) } else { String::new() };
-    let why = "out of what a state can have (limits, and 3 rad or m more)";
-    let start = format!("{place} starts at {at}{noise}");
-    Err(refused(format!("{start}, {why}, {low}..={high}; change it by start.coordinates")))
+    let remedy = match reach > 0.0 && is_inside(0.0) {
+        true => "lower its noise in start.positions or start.noise",
+        false => "change it by start.coordinates",
+    };
+    let bounds = format!("{lowest}..={highest} (a joint's limits, 3 rad or m wider)");
+    Err(refused(format!("{place} starts at {at}{noise}, outside {bounds}; {remedy}")))
 }
 
 /// The largest noise that a distribution draws.

@@ -86,15 +86,15 @@ fn the_mean_is_that_of_the_last_twenty_episodes() {
 #[test]
 fn environments_continue_from_the_end_states_of_slots_or_begin_the_next_episode() {
     let mut environments = fresh(9, Phase::Staggered);
-    environments.begin_again(0);
-    assert_eq!(environments, fresh(9, Phase::Staggered), "it continues no episode");
+    assert!(!environments.begin_again(0), "it continues no episode");
+    assert_eq!(environments, fresh(9, Phase::Staggered));
     environments.advance(&batch([0.5; 6], &[]), &[rollout()]);
     let starts = |all: Vec<EnvironmentStart>| all.into_iter().map(|e| e.start).collect::<Vec<_>>();
     let first = Start::Continue { state: vec![1, 2, 3], recurrent: vec![vec![0.1, 0.2]] };
     let second = Start::Continue { state: vec![4], recurrent: vec![vec![0.3, 0.4]] };
     let next = environments.work(1, 2).remove(0).environments;
     assert_eq!(starts(next), [first, second.clone()]);
-    environments.begin_again(0);
+    assert!(environments.begin_again(0));
     let first = Start::Fresh { episode: 1, limit: 9 };
     assert_eq!(starts(environments.starts_of(&[0, 1])), [first, second]);
     let mut restored = fresh(9, Phase::Staggered);

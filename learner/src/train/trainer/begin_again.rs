@@ -12,8 +12,7 @@ impl RunningTrainer {
         if slot.iteration != self.trainer.iteration {
             return;
         }
-        let environments = &mut self.trainer.environments;
-        slot.environments.iter().for_each(|environment| environments.begin_again(*environment));
+        slot.environments.iter().for_each(|environment| self.trainer.begin_again(*environment));
         tracing::error!(
             "slot {} of iteration {}: no actor can continue its episodes; its environments {:?} begin new ones",
             slot.slot,
@@ -23,16 +22,23 @@ impl RunningTrainer {
         self.outside.exchange.replace(RolloutWork {
             iteration: slot.iteration,
             slot: slot.slot,
-            environments: environments.starts_of(&slot.environments),
+            environments: self.trainer.environments.starts_of(&slot.environments),
         });
     }
 }
 
 impl Trainer {
+    /// Begins a new episode in an environment that continues one, and tells the learning rule.
+    fn begin_again(&mut self, environment: u32) {
+        if self.environments.begin_again(environment) {
+            self.algorithm.begin_again(environment as usize);
+        }
+    }
+
     /// Begins new episodes in the environments whose states in the checkpoint at `path` are invalid.
     pub(crate) fn begin_invalid_again(&mut self, path: &Path) {
         for (environment, why) in self.environments.invalid(&self.launch.states) {
-            self.environments.begin_again(environment);
+            self.begin_again(environment);
             tracing::error!(
                 "environment {environment} begins a new episode: its state in {} cannot be restored: {why}",
                 path.display()

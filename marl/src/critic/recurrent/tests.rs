@@ -100,6 +100,22 @@ fn chunks_of_an_unchanged_critic_have_the_values_of_the_whole_rollout_bit_for_bi
 }
 
 #[test]
+fn an_environment_that_begins_again_has_the_values_of_a_first_episode() {
+    let mut critic = with_memory();
+    let (next, fresh) = (rollout(1, STEPS, &[]), self::critic(&config()));
+    let [before, first] = [&critic, &fresh].map(|critic| values(critic, &next).normalized);
+    critic.forget(1);
+    let after = values(&critic, &next).normalized;
+    for (environment, expected) in [&before, &first, &before].into_iter().enumerate() {
+        let rows = (environment..STEPS * ENVIRONMENTS).step_by(ENVIRONMENTS);
+        for places in rows.map(|row| row * VALUES..(row + 1) * VALUES) {
+            assert_eq!(after[places.clone()], expected[places], "{environment}");
+        }
+    }
+    assert_ne!(before, first);
+}
+
+#[test]
 fn a_state_that_is_not_finite_is_forgotten_after_the_rollout() {
     let mut critic = critic(&config());
     let mut batch = rollout(0, STEPS, &[]);

@@ -194,6 +194,17 @@ impl Replay {
         Ok(())
     }
 
+    /// Makes an environment's newest step a truncation, whose final state is stored already: the next one begins an episode.
+    pub(crate) fn cut_off(&mut self, environment: usize) {
+        if self.steps == 0 {
+            return;
+        }
+        let index = self.index(self.rows_added() - self.environments as u64 + environment as u64);
+        if self.ends[index] == CONTINUES {
+            self.ends[index] = TRUNCATED;
+        }
+    }
+
     fn push(&mut self, batch: &Batch, row: usize) {
         let width = self.columns.width();
         let index = self.index(self.rows_added() + row as u64);

@@ -3,12 +3,14 @@
 use rapier3d::glamx::DVec3;
 use rapier3d::math::{Pose, Vector};
 
-/// How much less the overlap along edges must be, as a fraction of the boxes' sizes: faces are preferred in doubt.
+/// Part of the overlap along a face's normal by which that along edges must be less, as in MuJoCo.
+const PREFERENCE: f64 = 0.05;
+/// The same, as a fraction of the sum of all half sizes. MuJoCo has no such limit.
 const DOUBT: f64 = 1e-3;
 
-/// Whether two boxes overlap least along a normal of two edges, as MuJoCo decides, but without a preference for faces. `between`
-/// is the pose of the second box in the first.
-pub(super) fn cross(halves: [Vector; 2], between: &Pose) -> bool {
+/// Whether two boxes touch with edges, if one has a face within 0.01 rad of the contact's normal: they overlap clearly less along a
+/// normal of two edges. `between` is the pose of the second box in the first.
+pub(super) fn overlap_least(halves: [Vector; 2], between: &Pose) -> bool {
     let [first, second] = halves.map(|half| half.as_dvec3().to_array());
     let apart = between.translation.as_dvec3();
     let own = DVec3::AXES;
@@ -24,5 +26,6 @@ pub(super) fn cross(halves: [Vector; 2], between: &Pose) -> bool {
     let crossed = own.iter().flat_map(|one| other.map(|side| one.cross(side)));
     // Parallel edges have no common normal.
     let crossed = crossed.filter_map(DVec3::try_normalize);
-    least(&mut crossed.into_iter()) < faces - DOUBT * size
+    let least_gain = (PREFERENCE * faces).max(DOUBT * size);
+    least(&mut crossed.into_iter()) < faces - least_gain
 }

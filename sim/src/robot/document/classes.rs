@@ -124,7 +124,9 @@ fn add_element(class: &mut Defaults, outside: &Defaults, child: &Element) -> Res
         laws::overlay(&mut merged, child, &law);
         check_size(child, &law)?;
         let law = Rc::new(law);
-        let general = Rc::new(with_inherited_range(&law, class.get("general")));
+        let states_it = ["position", "intvelocity"].contains(&child.tag.as_str());
+        let before = class.get("general").filter(|_| !states_it);
+        let general = Rc::new(with_inherited_range(&law, before));
         for kind in LAWS {
             // The law of another kind leaves that of the class around this one.
             let applies = [kind, "general"].contains(&child.tag.as_str()) || kind == "general";
@@ -142,7 +144,7 @@ fn add_element(class: &mut Defaults, outside: &Defaults, child: &Element) -> Res
     Ok(())
 }
 
-/// The law of `general` after one of any kind: `inheritrange` of the laws before remains.
+/// The law of `general` after one of a kind that has no `inheritrange`: that of the law before remains, as in MuJoCo.
 fn with_inherited_range(law: &Element, before: Option<&Rc<Element>>) -> Element {
     const NAME: &str = "inheritrange";
     let mut law = law.clone();

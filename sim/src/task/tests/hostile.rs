@@ -333,12 +333,9 @@ fn keys_without_an_effect_are_refused_with_the_reason() {
         (added("[command]\nof = \"torso\""), "command.of needs a target: forward, sideways or yaw"),
         (
             added("[disturbance]\nin_evaluations = true"),
-            "in_evaluations needs a disturbance; remove",
+            "in_evaluations has no effect without a disturbance; remove",
         ),
-        (
-            critic,
-            "state.disturbances shows what an episode draws, and [disturbance] states nothing",
-        ),
+        (critic, "state.disturbances has no effect, because [disturbance] states nothing that"),
         (changed(edges, touching), "neighbourhood.touching: the row of `hip` has no bodies; name"),
         (added(approach), "reward.approach is constant, because all its bodies are fixed to the"),
         (
@@ -357,12 +354,26 @@ fn keys_without_an_effect_are_refused_with_the_reason() {
         let message = refusal(&file);
         assert!(message.contains(part), "{message}");
     }
-    let mut config = config(
-        &added("[disturbance]\njoint_damping = [0, 1]\nslope = [0, 0.1]"),
-        ObservationMode::FullId,
-    );
-    let definition = config.definition.as_mut().unwrap();
-    definition.model = definition.model.replace("damping=\"1\"", "damping=\"0\"");
-    let message = environments(&config, 1).err().expect("no joint is damped").to_string();
-    assert!(message.contains("joint_damping is a factor of damping, and no joint"), "{message}");
+    for (key, from, to, part) in [
+        (
+            "joint_damping",
+            "damping=\"1\"",
+            "",
+            "joint_damping is a factor of damping, and no joint",
+        ),
+        (
+            "slope",
+            "gravity=\"0 0 -9.81\"",
+            "gravity=\"0 0 0\"",
+            "slope turns gravity, and the model",
+        ),
+    ] {
+        let file = added(&format!("[disturbance]\n{key} = [0, 1]"));
+        let mut config = config(&file, ObservationMode::FullId);
+        let definition = config.definition.as_mut().unwrap();
+        assert!(definition.model.contains(from), "{from}");
+        definition.model = definition.model.replace(from, to);
+        let message = environments(&config, 1).err().expect(key).to_string();
+        assert!(message.contains(part), "{message}");
+    }
 }

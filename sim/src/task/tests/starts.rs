@@ -195,9 +195,12 @@ fn an_episode_starts_at_the_stated_coordinates() {
 fn a_start_outside_the_bounds_of_a_state_is_refused() {
     for (start, part) in [
         ("positions = { uniform = -1 }", "start.positions must lie in"),
-        ("positions = { uniform = 9.0 }", "start: `hip` starts at 0 ± 9, out of"),
+        (
+            "positions = { uniform = 9.0 }",
+            "(a joint's limits, 3 rad or m wider); lower its noise in start.positions",
+        ),
         ("coordinates = { hipp = 0.1 }", "did you mean `hip`?"),
-        ("coordinates = { knee = nan }", "start.coordinates: `knee` starts at NaN, out of"),
+        ("coordinates = { knee = nan }", "start.coordinates: `knee` starts at NaN, outside"),
     ] {
         let message = refusal(&changed("positions = { uniform = 0.005 }", start));
         assert!(message.contains(part) && !message.contains('\n'), "{start}: {message}");

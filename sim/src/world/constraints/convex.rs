@@ -8,8 +8,8 @@ use super::pair::Pair;
 use crate::robot::Convex;
 
 /// Finds the contacts of convex shapes anew that the engine finds roughly: those of an ellipsoid or a cylinder, and wrong ones. Of
-/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them and, of
-/// two boxes, no edges touch.
+/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them. Of two
+/// boxes with such a normal, it remains if edges touch.
 pub(super) fn sharpen(
     shapes: [&dyn Shape; 2],
     between: &Pose,

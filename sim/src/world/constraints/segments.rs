@@ -8,9 +8,9 @@ use rapier3d::parry::shape::{Capsule, PackedFeatureId, Segment};
 
 use super::points::Manifolds;
 
-/// Square of the sine of an angle below which two segments have no crossing: their ends are rounded to single precision.
+/// Square of the sine of an angle below which two segments are taken as parallel: their ends are rounded to single precision.
 const PARALLEL: f64 = 1e-12;
-/// The same of two capsules with two contacts, in MuJoCo.
+/// Square of the sine of an angle up to which two capsules may touch in two points, in MuJoCo 4.0.0.
 const TOUCH_TWICE: f64 = 1e-8;
 /// Difference of two equal distances, as a fraction.
 const SAME_DISTANCE: f32 = 1e-5;

@@ -88,6 +88,8 @@ fn the_later_of_a_control_range_and_an_inherited_one_counts() {
     // The law of a later kind leaves it to `general`.
     let own = "<general joint=\"j\" biastype=\"affine\" biasprm=\"0 -1\" ctrlrange=\"-2 2\"/>";
     assert_eq!(range("<position inheritrange=\"0.5\"/><motor/>", own), [-0.5, 0.5]);
+    let inside = "<position inheritrange=\"0.5\"/><default class=\"x\"><intvelocity/></default>";
+    assert_eq!(range(inside, &own.replace("<general", "<general class=\"x\"")), [-2.0, 2.0]);
 }
 
 #[test]

@@ -75,6 +75,19 @@ fn a_target_bootstraps_after_n_steps_from_a_truncation_and_never_from_a_terminat
     assert_eq!(ahead(&replay, 6), (70.0 + 40.0, 0.25, 8.5)); // the newest step's true next state
 }
 
+#[test]
+fn an_episode_that_is_cut_off_between_two_rollouts_ends_with_its_true_final_state() {
+    let mut replay = empty(100);
+    replay.cut_off(0);
+    replay.add(&stretch(1, 2, &[])).unwrap();
+    replay.cut_off(0);
+    replay.add(&stretch(50, 3, &[])).unwrap();
+    // Steps 1 2 | 50 51 52.
+    assert_eq!(ahead(&replay, 0), (10.0 + 10.0, 0.25, 2.5));
+    assert_eq!(ahead(&replay, 1), (20.0, 0.5, 2.5));
+    assert_eq!(ahead(&replay, 2), (500.0 + 255.0 + 130.0, 0.125, 52.5));
+}
+
 /// Densities of the observations, which are numbers of steps.
 fn surprise(alpha: f64) -> Surprise {
     let config = SurpriseConfig { alpha, density: DensityKind::DiagonalGaussian };
