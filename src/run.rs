@@ -49,7 +49,7 @@ pub(crate) struct SettingsArguments {
     pub(crate) files: Vec<PathBuf>,
     /// Train in the environment that an external program offers at this URL. TASK then only selects the settings.
     /// Short for environment_service.url=URL.
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     pub(crate) environment: Option<String>,
 }
 
@@ -111,11 +111,11 @@ pub(crate) fn prepare_config(
     let offered = Offered::of(&config, transport)?;
     config.demand_suitable(Some(&offered.spec))?;
     let fingerprint = rollout::rollout_fingerprint();
+    if resumed.is_some() || !config.environment.description.is_empty() {
+        offered.demand_that_of(&config)?;
+    }
     let (folder, new) = match resumed {
-        Some(folder) => {
-            offered.demand_that_of(&config)?;
-            (folder.to_path_buf(), None)
-        }
+        Some(folder) => (folder.to_path_buf(), None),
         None => {
             let new = NewFolder::of(&config, &offered.spec.task, others)?;
             (new.path().to_path_buf(), Some(new))

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
+use proto::name::printable;
 
 use crate::figures::chart;
 use crate::process::output;
@@ -89,7 +90,7 @@ fn opening(recorded: &Recorded, parts: &[Part]) -> anyhow::Result<String> {
          computed by {builds}; this is {BUILD} with registers of the kind {}\n\
          recorded: {}",
         recorded.folder.display(),
-        config.resolved.text("task"),
+        recorded.manifest["task"].as_str().map(printable).unwrap_or_default(),
         config.resolved.text("algorithm"),
         config.run.seed,
         recorded.config_sha256(),

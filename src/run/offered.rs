@@ -47,7 +47,11 @@ impl Offered {
             "" => "the simulator's".to_owned(),
             sha256 => format!("one with the description {sha256}"),
         };
-        let detail = format!("the run's environment is {}, this is {}", shown(before), shown(now));
+        let detail = format!(
+            "the run's environment is {}, this is {}; start the program with that of the run",
+            shown(before),
+            shown(now)
+        );
         Err(ConfigError::refused(&config.resolved, &[URL], &detail))
     }
 }

@@ -308,6 +308,9 @@ impl<'a> Verifier<'a> {
     }
 }
 
+/// Tries to remove a temporary folder.
+const MOST_REMOVALS: usize = 100;
+
 /// A temporary folder that is removed with this value.
 struct Scratch(PathBuf);
 
@@ -328,11 +331,17 @@ impl Drop for Scratch {
     }
 }
 
-/// Removes a temporary folder. The system does if this fails. Under its new name nothing is added meanwhile.
+/// Removes a temporary folder. The system does if this fails. Under its new name nothing is added meanwhile, but a thread that
+/// still works may make the folder anew.
 fn remove(folder: &Path) {
     let removed = folder.with_extension("removed");
-    let _renamed = std::fs::rename(folder, &removed);
-    let _removed = std::fs::remove_dir_all(removed);
+    for _ in 0..MOST_REMOVALS {
+        let _renamed = std::fs::rename(folder, &removed);
+        let _removed = std::fs::remove_dir_all(&removed);
+        if !folder.exists() && !removed.exists() {
+            return;
+        }
+    }
 }
 
 #[cfg(test)]

@@ -195,14 +195,21 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     let service = CueService::start(Faults::NONE);
     trained(&folder, &["run.iterations=2", "--environment", &service.url]);
     let path = text(&folder);
-    let resume = ["train", "--resume", path, "run.iterations=4", "--environment"];
+    let resume = ["train", "--resume", path, "run.iterations=4"];
     let other = CueService::start(OTHER);
-    for url in [other.url.as_str(), ""] {
-        let line = refused(&[&resume[..], &[url]].concat());
+    let new = format!("run.dir={}", text(&runs.folder("new")));
+    let begin = ["train", &new, "environment_service.description=ab"];
+    for (command, url) in [(&resume[..], other.url.as_str()), (&resume, ""), (&begin, &service.url)]
+    {
+        let setting = format!("environment_service.url={url}");
+        let line = refused(&[command, &[&setting]].concat());
         assert!(line.contains("the run's environment is one with the description"), "{line}");
+        assert!(line.contains("; start the program with that of the run"), "{line}");
     }
+    let line = refused(&["train", "--environment", ""]);
+    assert!(line.contains("--environment"), "{line}");
     let moved = CueService::start(Faults::NONE);
-    succeeded(&[&resume[..], &[&moved.url]].concat());
+    succeeded(&[&resume[..], &["--environment", &moved.url]].concat());
     let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
     assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
     assert!(succeeded(&["record", path]).contains("50 steps"));

@@ -68,6 +68,8 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
     manifests = [parsed(read(file), file) for file in (path / "manifest.json" for path in found)]
     for name in _MANIFEST:
         table[name] = [manifest.get(name) for manifest in manifests]
+    # The setting names a task also if its settings alone are used, in another program's environment.
+    table["task"] = [manifest.get("task", setting) for manifest, setting in zip(manifests, table["task"], strict=True)]
     return Runs(table, metrics, evaluations)
 
 

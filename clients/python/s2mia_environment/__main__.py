@@ -8,6 +8,7 @@ Each NAME=VALUE is an argument of FUNCTION. A VALUE that is not JSON is a string
 import argparse
 import functools
 import json
+import multiprocessing
 import os
 import signal
 import sys
@@ -19,6 +20,9 @@ from s2mia_environment.making import batch_of
 from s2mia_environment.server import STREAMS, place_of, serve
 from s2mia_environment.streams import EnvironmentFailed
 from s2mia_environment.workers import WorkerLost
+
+# How long calls may take to end when the server stops.
+STOP_SECS = 5.0
 
 
 def value(text: str):
@@ -87,7 +91,11 @@ def main() -> int:
     host = arguments.listen.rpartition(":")[0]
     print(f"offers {arguments.function} at http://{host}:{port}", flush=True)
     stopped.wait()
-    server.stop(None).wait()
+    if not server.stop(None).wait(STOP_SECS):
+        # An environment does not return from a step.
+        for worker in multiprocessing.active_children():
+            worker.kill()
+        os._exit(1)
     return 0
 
 

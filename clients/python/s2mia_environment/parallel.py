@@ -2,6 +2,8 @@
 
 import hashlib
 import inspect
+import math
+import numbers as kinds
 import traceback
 from collections.abc import Mapping
 
@@ -16,6 +18,7 @@ from s2mia_environment.observations import LIMIT, flat, numbers, wrong
 # Defaults for environments that do not define their episode length or step time.
 EPISODE_STEPS = 1000
 STEP_SECS = 0.05
+LONGEST_EPISODE = 2**32 - 1
 # Attributes that define the episode length; the first that an environment has counts.
 _LENGTHS = ("max_cycles", "max_steps", "max_episode_steps")
 
@@ -119,13 +122,21 @@ class Parallel(Environment):
 
     def step_secs(self) -> float:
         """Seconds per step, for display."""
-        return 1.0 / (self.env.metadata.get("render_fps") or 1.0 / STEP_SECS)
+        rate = self.env.metadata.get("render_fps") or 1.0 / STEP_SECS
+        if not isinstance(rate, kinds.Real) or not 0.0 < rate < math.inf:
+            raise InvalidEnvironment(f"metadata['render_fps'] is {rate!r}; it must be a number above 0")
+        return 1.0 / float(rate)
 
     def episode_steps(self) -> int:
         """Steps after which the client truncates an episode."""
         base = self.env.unwrapped
         for name in _LENGTHS:
             if declares(base, name) and (steps := getattr(base, name)):
+                if steps == math.inf:
+                    break
+                is_whole = isinstance(steps, kinds.Real) and float(steps).is_integer()
+                if not (is_whole and 0 < steps <= LONGEST_EPISODE):
+                    raise InvalidEnvironment(f"{name} is {steps!r}; it must be a whole number from 1 to {LONGEST_EPISODE:,}")
                 return int(steps)
         names = " or ".join(_LENGTHS)
         note("length", f"an episode is truncated after {EPISODE_STEPS} steps; the environment has no {names}")

@@ -31,7 +31,7 @@ pub enum Part {
     Episode(u32),
 }
 
-/// Two valid results that differ: a machine or the program is not deterministic, or an actor lies.
+/// Two valid results that differ: a machine, the program or the environment is not deterministic, or an actor lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Disagreement {
     /// The iteration.
@@ -91,8 +91,8 @@ impl fmt::Display for Disagreement {
         };
         write!(
             f,
-            "{what}: actor {} gave {}, actor {} gave {}; a machine or the program is not deterministic; {wrong} \
-             may hold wrong results",
+            "{what}: actor {} gave {}, actor {} gave {}; a machine, the program or the environment is not \
+             deterministic; {wrong} may hold wrong results; audit.share = 0 switches this comparison off",
             first.actor, first.digest, second.actor, second.digest
         )
     }

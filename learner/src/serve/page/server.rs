@@ -19,7 +19,7 @@ use axum::routing::get;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use hyper::server::conn::http1;
-use hyper_util::rt::TokioIo;
+use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use security::{Role, ServerTls, Standing};
 use serde_json::Value;
@@ -53,8 +53,10 @@ const EXPLANATIONS: &str = include_str!("../../../../docs/PAPER.md");
 
 /// Most concurrent connections; further ones wait to be accepted.
 const MOST_CONNECTIONS: usize = 32;
-/// Time limit for the request and the response of a connection.
+/// Time limit for the handshake and the request of a connection.
 const TIMEOUT: Duration = Duration::from_secs(5);
+/// Time limit for a connection with its response, which has the curves of all runs.
+const LONGEST: Duration = Duration::from_secs(60);
 /// Most bytes of a request without its body; bodies are never read.
 const MOST_HEADER_BYTES: usize = 16 << 10;
 
@@ -131,7 +133,7 @@ async fn accept(listener: TcpListener, tls: Option<ServerTls>, routes: &Router) 
                 }
             };
             // A client that is too slow gets no answer.
-            let _result = tokio::time::timeout(TIMEOUT, answered).await;
+            let _result = tokio::time::timeout(LONGEST, answered).await;
             drop(permit);
         });
         while open.try_join_next().is_some() {}
@@ -142,6 +144,7 @@ async fn accept(listener: TcpListener, tls: Option<ServerTls>, routes: &Router) 
 async fn answer(stream: impl AsyncRead + AsyncWrite + Unpin, routes: Router) {
     let mut server = http1::Builder::new();
     server.keep_alive(false).max_buf_size(MOST_HEADER_BYTES);
+    server.timer(TokioTimer::new()).header_read_timeout(TIMEOUT);
     let served = server.serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes));
     // Errors concern only this client, which disconnected.
     let _result = served.await;
@@ -149,7 +152,9 @@ async fn answer(stream: impl AsyncRead + AsyncWrite + Unpin, routes: Router) {
 
 /// Performs the handshake, then serves one request of a client that is an operator; others get the reason.
 async fn answer_over_tls(stream: TcpStream, peer: SocketAddr, tls: ServerTls, routes: Router) {
-    match TlsAcceptor::from(tls.config()).accept(stream).await {
+    let handshake = TlsAcceptor::from(tls.config()).accept(stream);
+    let Ok(handshake) = tokio::time::timeout(TIMEOUT, handshake).await else { return };
+    match handshake {
         Ok(stream) => {
             let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
             match standing.demand(Role::Operator) {
