@@ -91,12 +91,18 @@ def main() -> int:
     host = arguments.listen.rpartition(":")[0]
     print(f"offers {arguments.function} at http://{host}:{port}", flush=True)
     stopped.wait()
-    if not server.stop(None).wait(STOP_SECS):
-        # An environment does not return from a step.
-        for worker in multiprocessing.active_children():
-            worker.kill()
-        os._exit(1)
+    # An environment may never return from a step, for which the end of the server and of this process waits.
+    deadline = threading.Timer(STOP_SECS, _end_at_once)
+    deadline.daemon = True
+    deadline.start()
+    server.stop(None).wait()
     return 0
+
+
+def _end_at_once() -> None:
+    for worker in multiprocessing.active_children():
+        worker.kill()
+    os._exit(1)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Environments with one fault each, as their authors might write them."""
 
 import sys
+import time
 
 import numpy as np
 from gymnasium import spaces
@@ -125,6 +126,11 @@ class Restless(Game):
 
     def reset(self, seed=None, options=None):
         return self.of_all(np.random.default_rng().random(3)), {}
+
+
+class Endless(Game):
+    def step(self, actions):
+        time.sleep(1000)
 
 
 class Turns(AECEnv):

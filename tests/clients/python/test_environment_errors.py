@@ -157,8 +157,8 @@ def test_an_address_that_cannot_be_used_is_one_line():
             assert message in lines[0]
 
 
-def played(process: subprocess.Popen, streams: int = 1) -> list[str]:
-    """How streams end that step the offered game five times."""
+def played(process: subprocess.Popen, streams: int = 1, secs: float | None = None) -> list[str]:
+    """How streams end that step the offered game five times, and are cut off after a time."""
     address = process.stdout.readline().split()[-1].removeprefix("http://")
     rows = wire.tensor(np.zeros((1, 1), np.float32))
     reset = wire.PlayRequest(reset=wire.ResetEnvironment(environment=0, seed=bytes(32)))
@@ -166,7 +166,7 @@ def played(process: subprocess.Popen, streams: int = 1) -> list[str]:
     ends = []
     with grpc.insecure_channel(address, options=[("grpc.enable_http_proxy", 0)]) as channel:
         service = wire.EnvironmentServiceStub(channel)
-        calls = [service.Play(iter([reset, *[step] * 5])) for _ in range(streams)]
+        calls = [service.Play(iter([reset, *[step] * 5]), timeout=secs) for _ in range(streams)]
         for call in calls:
             try:
                 ends.append(f"{len(list(call))} answers")
@@ -182,6 +182,37 @@ def test_a_signal_ends_the_server_with_status_0_and_without_a_word(number):
     process.send_signal(number)
     assert process.communicate(timeout=60)[1] == ""
     assert process.returncode == 0
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_signal_ends_the_server_also_while_an_environment_hangs(workers):
+    process = start("faulty_games:Endless", "--workers", workers)
+    assert played(process, secs=1.0)[0].startswith("DEADLINE_EXCEEDED")
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("max_cycles", -5, "max_cycles is -5; it must be a whole number from 1 to 4,294,967,295"),
+        ("max_cycles", "many", "max_cycles is 'many'; it must be a whole number"),
+        ("metadata", {"render_fps": "a"}, "metadata['render_fps'] is 'a'; it must be a number above 0"),
+    ],
+)
+def test_a_length_or_a_rate_that_is_none_is_named(name, value, message):
+    env = Game()
+    setattr(env, name, value)
+    with pytest.raises(InvalidEnvironment) as refused:
+        Parallel(env)
+    assert str(refused.value).startswith(message)
+
+
+def test_an_environment_without_an_end_is_truncated():
+    env = Game()
+    env.max_cycles = float("inf")
+    assert Parallel(env).spec.episode_steps == 1000
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
