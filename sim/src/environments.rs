@@ -15,7 +15,7 @@ use crate::noise::{DrawPurpose, generator};
 use crate::observation::Observation;
 use crate::robot::Robot;
 use crate::scene::Pose;
-use crate::state::{EpisodeDraws, State, StateBounds};
+use crate::state::{EpisodeDraws, LARGEST_ACTION, State, StateBounds};
 use crate::task::{self, DrawnEpisode, Motion, Rules, Task, Transition};
 use crate::world::World;
 use describe::Driven;
@@ -289,7 +289,8 @@ impl RobotEnvironments {
     fn step_one(&mut self, index: usize, action: &[f32]) -> Outcome {
         let environment = &mut self.environments[index];
         for ((driven, asked), &number) in self.motors.iter().zip(&mut self.asked).zip(action) {
-            *asked = driven.scale.apply(number);
+            // A larger one is no part of a valid state.
+            *asked = driven.scale.apply(number).clamp(-LARGEST_ACTION, LARGEST_ACTION);
             self.controls[driven.motor] = driven.limited(*asked);
         }
         if let Some(back) = environment.drawn.action_delay.checked_sub(1) {
@@ -314,6 +315,10 @@ impl RobotEnvironments {
             environment.terms.fill(0.0);
             self.update_state(index);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
+        }
+        if self.bounds.normalise(&mut self.next.coordinates) {
+            environment.world.rebuild(&self.next.coordinates, &self.next.velocities);
+            environment.world.set_activations(&self.next.activations);
         }
         remember(&mut self.next.actions, &self.asked, &environment.now.actions);
         if let Some(sensors) = &environment.sensors {

@@ -16,7 +16,9 @@ const DRAWS_BYTES: usize = 36;
 pub(crate) const STATE_VERSION: u32 = 1;
 
 /// Largest action of the last step, as in trajectories: beyond it, a reward of the next step would not be finite.
-const LARGEST_ACTION: f32 = 1e9;
+pub(crate) const LARGEST_ACTION: f32 = 1e9;
+/// Largest error of the squared length of an orientation's quaternion.
+const LARGEST_DRIFT: f32 = 1e-3;
 
 /// Largest measurement of an earlier step, m, rad, m/s or rad/s; larger ones are clipped.
 pub(crate) const LARGEST_MEASUREMENT: f32 = 1e9;
@@ -189,12 +191,28 @@ impl StateBounds {
         }
         for &index in &self.orientations {
             let squared: f32 = coordinates[index..index + 4].iter().map(|q| q * q).sum();
-            if (squared - 1.0).abs() > 1e-3 {
+            if (squared - 1.0).abs() > LARGEST_DRIFT {
                 let place = format!("the orientation at coordinate {index}");
                 return invalid(format!("{place} has squared length {squared}, not 1"));
             }
         }
         Ok(())
+    }
+
+    /// Normalises orientations whose squared length has drifted by half of what [`Self::check_motion`] allows: their rounding
+    /// errors add up while a body turns steadily. Returns whether there was one.
+    pub(crate) fn normalise(&self, coordinates: &mut [f32]) -> bool {
+        let mut drifted = false;
+        for &index in &self.orientations {
+            let quaternion = &mut coordinates[index..index + 4];
+            let squared: f32 = quaternion.iter().map(|q| q * q).sum();
+            if (squared - 1.0).abs() > 0.5 * LARGEST_DRIFT {
+                let length = squared.sqrt();
+                quaternion.iter_mut().for_each(|q| *q /= length);
+                drifted = true;
+            }
+        }
+        drifted
     }
 
     fn check_header(&self, bytes: &[u8]) -> Result<(), StateError> {

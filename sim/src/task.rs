@@ -305,7 +305,10 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
 /// Checks that the features which `k_nearest` shows exist.
 fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     let mut features = rules.measured_features(robot);
-    features.extend([rules.command.features(), rules.disturbance_features()].concat());
+    features.extend(rules.command.features());
+    if rules.audience == Audience::Agents {
+        features.extend(rules.disturbance_features());
+    }
     let features: Vec<String> = features.into_iter().map(|feature| feature.name).collect();
     let state = Names::new("feature in its global state", &features);
     let driven = robot.actuators().flat_map(|actuator| actuator.moved);

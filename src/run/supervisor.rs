@@ -22,6 +22,8 @@ use crate::process::{self, ProcessLog};
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
+/// Longest time between an actor's end and that of its run.
+const LAST_WORDS: Duration = Duration::from_secs(3);
 /// The same for an actor that has to finish and check a trajectory log.
 const LOG_PATIENCE: Duration = Duration::from_secs(60);
 
@@ -95,7 +97,7 @@ struct Supervisor {
 }
 
 impl Supervisor {
-    /// Runs one actor after the other under one index. An actor ends with success when the run is done.
+    /// Runs one actor after the other under one index. An actor ends with success when the run is done, or after a signal.
     async fn keep_running(self: Arc<Self>, index: usize, mut ended: watch::Receiver<bool>) {
         while !*ended.borrow() && self.failure.get().is_none() {
             let own_log = ProcessLog::before_start(&self.processes.log_path(index));
@@ -108,6 +110,10 @@ impl Supervisor {
                             return;
                         }
                         death
+                    }
+                    // The learner says that the run is done shortly before it ends.
+                    Some(_) if !ends_within(LAST_WORDS, &mut ended).await => {
+                        format!("actor {index} was stopped")
                     }
                     _ => return,
                 },
@@ -187,6 +193,12 @@ impl ActorProcesses {
     }
 }
 
+/// Whether the run ends within a time.
+async fn ends_within(time: Duration, ended: &mut watch::Receiver<bool>) -> bool {
+    // Without its sender the run has ended.
+    tokio::time::timeout(time, ended.wait_for(|over| *over)).await.is_ok()
+}
+
 /// Waits for a process. After `ended`, closes its standard input and gives it the time `patience` to end. `None` if the
 /// run ended first.
 async fn until_exit(
@@ -253,6 +265,23 @@ mod tests {
             assert!(words.iter().all(|words| reason.contains(words)), "{reason}");
             assert!(*stopped.borrow());
         }
+    }
+
+    #[tokio::test]
+    async fn an_actor_that_stops_before_the_run_ends_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut processes = processes_of(&folder, "echo started >> \"$0.starts\"");
+        processes.actors = 1;
+        let starts = folder.path().join("actor.sh.starts");
+        let (stop, _stopped) = watch::channel(false);
+        let (end, ended) = watch::channel(false);
+        let supervised = tokio::spawn(supervise(processes, ended, stop));
+        let count = || std::fs::read_to_string(&starts).map_or(0, |text| text.lines().count());
+        while count() < 2 {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        end.send_replace(true);
+        assert_eq!(supervised.await.unwrap(), None);
     }
 
     #[tokio::test]

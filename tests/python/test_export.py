@@ -33,7 +33,8 @@ def agents(folder):
     """For each agent its session and its part of the recorded episode."""
     episode = load_file(folder / "episode.safetensors")
     for index, path in enumerate(sorted(folder.glob("agent_*.onnx"))):
-        own = {part: episode[f"agent_{index}.{part}"] for part in ("observation", "hidden", "action")}
+        names = {part: f"agent_{index}.{part}" for part in ("observation", "hidden", "action")}
+        own = {part: episode[name] for part, name in names.items() if name in episode}
         yield onnxruntime.InferenceSession(path), own
 
 

@@ -134,7 +134,12 @@ class Streams:
 
     def begin(self, number: int) -> None:
         """Starts the stream with that number."""
-        self.streams[number] = Stream(self.spare.pop() if self.spare else self._made())
+        # Several threads may begin streams at a time.
+        try:
+            batch = self.spare.pop()
+        except IndexError:
+            batch = self._made()
+        self.streams[number] = Stream(batch)
 
     def answer(self, number: int, request: bytes) -> bytes:
         """Answers one request of the stream."""

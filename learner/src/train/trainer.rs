@@ -132,7 +132,9 @@ impl RunningTrainer {
         let result = self.run();
         if let Err(LearnerError::Exchange(_)) = &result {
             // The trainer's state is still that of the last finished iteration.
-            self.save_now()?;
+            if let Err(failed) = self.save_now() {
+                tracing::error!("the last checkpoint failed: {failed}");
+            }
         }
         result
     }

@@ -64,6 +64,20 @@ fn a_slot_whose_start_state_two_actors_cannot_restore_waits_for_another_start() 
 }
 
 #[test]
+fn one_actor_alone_begins_no_new_episodes_while_another_has_not_tried() {
+    let mut table = table(1);
+    table.open_iteration(weights(), vec![continued()]);
+    let [one, busy] = [1, 2].map(|connection| actor(&mut table, connection));
+    for times in 1..=2 {
+        let held = lease(&mut table, one);
+        assert_eq!(give_back(&mut table, (one, &held), LeaseFailure::StartState), []);
+        table.tick(TTL * times);
+    }
+    let held = lease(&mut table, busy);
+    assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
+}
+
+#[test]
 fn a_process_that_is_alone_tries_again_and_work_that_always_fails_ends_the_run() {
     let mut table = table(2);
     let own = actor(&mut table, 1);

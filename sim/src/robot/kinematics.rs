@@ -1,7 +1,7 @@
 //! Positions and velocities of bodies and fixed points, as functions of a state's coordinates and velocities.
 
 use rapier3d::glamx::{DQuat, DVec3};
-use rapier3d::math::{Pose, Vector};
+use rapier3d::math::{Pose, Rotation, Vector};
 
 use super::Robot;
 use super::blueprint::{JointPlan, LinkPlan, Motion};
@@ -82,10 +82,20 @@ impl Robot {
     }
 }
 
+impl Robot {
+    /// The root's body, if its axes are not those of the world in the rest pose.
+    pub(crate) fn tilted_root(&self) -> Option<Place> {
+        let (root, bodies) = (self.layout.root, &self.blueprint.homes);
+        let body = bodies.iter().position(|(link, _)| *link == Some(root))?;
+        let turned = self.blueprint.links[root].rest.rotation * bodies[body].1.rotation;
+        (turned != Rotation::IDENTITY).then(|| self.place(body))
+    }
+}
+
 impl Place {
     /// Whether it is fixed to the world.
     pub(crate) fn is_fixed(&self) -> bool {
-        self.joints.is_empty()
+        self.joints.iter().all(|joint| matches!(joint.motion, JointMotion::Fixed))
     }
 
     /// A point that is fixed to the world, m.

@@ -260,13 +260,17 @@ impl DisturbanceRanges {
 /// Refuses what cannot disturb this robot.
 fn check_effects(row: &DisturbanceRow, robot: &Robot) -> Result<(), SimError> {
     let damped = robot.layout.hinges.iter().any(|hinge| hinge.plan.damping != 0.0);
-    let falls = robot.blueprint.gravity != Vector::ZERO;
+    let gravity = robot.blueprint.gravity;
+    let falls = gravity.z < 0.0 && gravity.x == 0.0 && gravity.y == 0.0;
     for (refuses, why) in [
         (
             row.joint_damping.is_some() && !damped,
             "joint_damping is a factor of damping, and no joint of the model has any",
         ),
-        (row.slope.is_some() && !falls, "slope turns gravity, and the model has none"),
+        (
+            row.slope.is_some() && !falls,
+            "slope tilts the ground under gravity along -z, which the model has not",
+        ),
         (
             row.in_evaluations && row.lines().is_empty(),
             "in_evaluations has no effect without a disturbance",

@@ -89,7 +89,7 @@ pub(super) fn target_distance(step: &Transition<'_>, target: &[(usize, f32)]) ->
 /// Cosine of the angle between a body's z axis and the vertical after the step: 1 upright, -1 upside down; no unit.
 pub(super) fn upright(motion: &Motion<'_>, tilt: &Tilt) -> f32 {
     match tilt {
-        Tilt::Planar(pitch) => libm::cosf(motion.position(*pitch)),
+        Tilt::Planar(pitch) => libm::cosf(motion.coordinates[*pitch]),
         Tilt::Free(quaternion) => {
             let [x, y] = [1, 2].map(|k| motion.position(quaternion + k));
             1.0 - 2.0 * (x * x + y * y)
@@ -360,7 +360,10 @@ impl Tilt {
         let root = robot.layout.root_joint();
         match root.kind {
             MapKind::Free | MapKind::Floating => Ok(Self::Free(root.coordinate + 3)),
-            MapKind::Planar => Ok(Self::Planar(root.coordinate + 2)),
+            MapKind::Planar => Ok(match robot.tilted_root() {
+                None => Self::Planar(root.coordinate + 2),
+                Some(body) => Self::Body(body),
+            }),
             MapKind::Fixed | MapKind::Hinge { .. } | MapKind::Ball => Err(refused(format!(
                 "{place} needs a free root or a {PLANAR_ROOT}; name a body with `of`"
             ))),

@@ -6,6 +6,7 @@ mod bodies;
 mod commands;
 mod disturbances;
 mod hostile;
+mod own_models;
 mod physics;
 mod reward_terms;
 mod starts;

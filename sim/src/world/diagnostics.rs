@@ -16,11 +16,19 @@ impl World {
         self.kinetic_energy() + self.potential_energy()
     }
 
-    /// Centre of mass of the robot in the world, m.
+    /// Centre of mass in the world of everything that moves, with payloads, m.
     pub fn centre_of_mass(&self) -> [f32; 3] {
-        let total: f32 = self.robot.masses().map(|(_, mass, _)| mass).sum();
-        let weighted = self.mass_centres().map(|(link, centre)| centre * link.mass.mass());
-        (weighted.fold(Vector::ZERO, |sum, part| sum + part) / total).to_array()
+        let payloads = self.conditions.iter().flat_map(|conditions| &conditions.payloads);
+        let (mut total, mut weighted) = (0.0, Vector::ZERO);
+        for (index, (link, centre)) in self.mass_centres().enumerate() {
+            if !link.is_base() {
+                let added = payloads.clone().find(|(loaded, _)| *loaded == index);
+                let mass = link.mass.mass() + added.map_or(0.0, |(_, added)| *added);
+                total += mass;
+                weighted += centre * mass;
+            }
+        }
+        (weighted / total).to_array()
     }
 
     /// Height of the robot's lowest point above a floor at z = 0, m; negative for penetration.

@@ -11,7 +11,7 @@ use proto::LeaseFailure;
 use super::actors::Process;
 use super::works::{Group, Key};
 
-/// Leases of a slot with invalid start states after which it begins new episodes.
+/// Processes that cannot restore a slot's start states, or leases of the only one, after which it begins new episodes.
 const MOST_START_STATES: u32 = 2;
 /// Failed leases of a slot that continues episodes after which it begins new ones.
 const MOST_CONTINUED: u32 = 4;
@@ -52,6 +52,8 @@ pub(super) enum Begin {
 struct Failed {
     times: u32,
     start_states: u32,
+    /// Processes that could not restore the start states.
+    unrestored_by: BTreeSet<Process>,
     by: BTreeSet<Process>,
     /// When a failure counted first.
     first: Option<Duration>,
@@ -110,14 +112,22 @@ impl Failures {
     ) -> Verdict {
         let failed = self.works.entry(key).or_default();
         failed.times += 1;
-        failed.start_states += u32::from(failure == LeaseFailure::StartState);
+        if failure == LeaseFailure::StartState {
+            failed.start_states += 1;
+            failed.unrestored_by.insert(process);
+        }
         failed.add(process, now);
         let first = *failed.first.get_or_insert(now);
         let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
         let tried_by_all = !failed.is_untried_by(others) || now >= first + self.ttl * most;
         let verdict = match begin {
             _ if failed.decided => Verdict::Retry,
-            Begin::Continued if failed.start_states >= MOST_START_STATES => Verdict::BeginAgain,
+            Begin::Continued
+                if failed.unrestored_by.len() >= MOST_START_STATES as usize
+                    || tried_by_all && failed.start_states >= MOST_START_STATES =>
+            {
+                Verdict::BeginAgain
+            }
             Begin::Continued if failed.times >= most && tried_by_all => Verdict::BeginAgain,
             Begin::Fresh if failed.times >= most && tried_by_all => Verdict::GiveUp(failed.times),
             _ => Verdict::Retry,

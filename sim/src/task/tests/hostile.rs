@@ -365,7 +365,7 @@ fn keys_without_an_effect_are_refused_with_the_reason() {
             "slope",
             "gravity=\"0 0 -9.81\"",
             "gravity=\"0 0 0\"",
-            "slope turns gravity, and the model",
+            "slope tilts the ground under gravity along -z",
         ),
     ] {
         let file = added(&format!("[disturbance]\n{key} = [0, 1]"));

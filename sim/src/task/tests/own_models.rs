@@ -1,0 +1,89 @@
+//! Worlds of small models: what turns for long, stands on a base or rests tilted.
+
+use super::disturbances::{start, step};
+use super::*;
+
+/// Environments of one task of a model with two motors, `hip` and `knee`.
+fn world(file: &str, model: &str) -> Box<dyn EnvironmentBatch> {
+    let mut config = config(file, ObservationMode::FullId);
+    config.definition.as_mut().unwrap().model = model.to_owned();
+    environments(&config, 1).unwrap()
+}
+
+const FILE: &str = r#"
+robot = "hopper"
+model = "hopper.xml"
+frame_skip = 1000
+episode_steps = 1000
+
+[agents]
+2x1 = [["hip"], ["knee"]]
+
+[[reward]]
+term = "alive"
+weight = 1.0
+"#;
+
+/// A base with a mass, and a carriage with the mass 1 that the motors move.
+const CARRIAGE: &str = r#"<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+<body name="base"><geom type="sphere" size="0.1" mass="9"/>
+<body name="carriage" pos="0 0 5"><joint name="hip" type="slide" axis="1 0 0"/>
+<joint name="knee" type="slide" axis="0 1 0"/><geom type="sphere" size="0.1" mass="1"/></body></body>
+SPINNER</worldbody><actuator><motor joint="hip" ctrlrange="-1 1"/><motor joint="knee" ctrlrange="-1 1"/></actuator>
+KEYS</mujoco>"#;
+
+#[test]
+fn a_body_that_turns_steadily_for_long_keeps_a_valid_orientation() {
+    let spinner = "<body name=\"spinner\" pos=\"9 0 0\"><freejoint name=\"spin\"/><geom type=\"box\" size=\"0.1 0.1 0.1\"/></body>";
+    let keys = "<keyframe><key name=\"spins\" qvel=\"0 0 0 0 0 0 0 1\"/></keyframe>";
+    let model = CARRIAGE.replace("SPINNER", spinner).replace("KEYS", keys);
+    let mut world = world(&format!("{FILE}\n[start]\nkeyframe = \"spins\"\n"), &model);
+    start(&mut *world, 1);
+    // The squared length grows by 1e-6 in a step: without normalisation it leaves its bounds after 24,000.
+    for _ in 0..40 {
+        assert!(!step(&mut *world, [0.0; 2]).fault);
+    }
+}
+
+#[test]
+fn the_mass_centre_is_that_of_what_moves() {
+    let model = CARRIAGE.replace("SPINNER", "").replace("KEYS", "");
+    let mut world = world(&format!("{FILE}\n[start]\ncoordinates = {{ hip = 0.5 }}\n"), &model);
+    start(&mut *world, 1);
+    assert_eq!(world.world(0).unwrap().centre_of_mass(), [0.5, 0.0, 5.0]);
+}
+
+#[test]
+fn upright_of_a_planar_root_is_that_of_its_body() {
+    let healthy = "\n[[healthy]]\nfeature = \"upright\"\nabove = 0.9\n";
+    let rooty = "<joint name=\"rooty\" ";
+    let model = include_str!("../../../assets/hopper.xml");
+    for (from, to, ends) in [
+        (rooty, rooty, false),
+        // The reference moves the coordinate, not the body.
+        (rooty, "<joint name=\"rooty\" ref=\"1\" ", false),
+        ("<body name=\"torso\" ", "<body name=\"torso\" euler=\"0 1.57 0\" ", true),
+    ] {
+        assert!(model.contains(from), "{from}");
+        let file = changed("forward_speed", "alive") + healthy;
+        let mut world = world(&file, &model.replacen(from, to, 1));
+        start(&mut *world, 1);
+        assert_eq!(step(&mut *world, [0.0; 2]).terminated, ends, "{to}");
+    }
+}
+
+#[test]
+fn only_a_body_that_moves_has_a_term_and_only_what_agents_may_see_is_a_neighbour() {
+    let height = "\n[[reward]]\nterm = \"height\"\nweight = 1\nof = \"base\"\n";
+    let mut config = config(&format!("{FILE}{height}"), ObservationMode::FullId);
+    let model = CARRIAGE.replace("SPINNER", "").replace("KEYS", "");
+    config.definition.as_mut().unwrap().model = model;
+    let message = environments(&config, 1).err().expect("a constant term").to_string();
+    assert!(message.contains("reward.height is constant"), "{message}");
+    let hidden = "hidden = [\"rootx\"]";
+    let globals = "globals = [\"rootz.position\", \"rooty.position\"]";
+    let file = changed(hidden, &format!("{hidden}\ndisturbances = \"critic\""));
+    let file = file.replace(globals, "globals = [\"disturbance.friction\"]");
+    let message = refusal(&format!("{file}\n[disturbance]\nfriction = [0.5, 1]\n"));
+    assert!(message.contains("neighbourhood.globals: the robot has no feature"), "{message}");
+}
