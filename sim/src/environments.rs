@@ -33,7 +33,7 @@ pub(crate) struct RobotEnvironments {
     environments: Vec<Environment>,
     /// Controls in motor order, `[A]`.
     controls: Vec<f32>,
-    /// The same controls in the order of the joint action, `[A]`; not clamped.
+    /// The same controls in the order of the joint action, `[A]`; not clamped to their ranges.
     asked: Vec<f32>,
     /// State after the current step, before it is validated; then the state before it.
     next: State,
@@ -289,7 +289,7 @@ impl RobotEnvironments {
     fn step_one(&mut self, index: usize, action: &[f32]) -> Outcome {
         let environment = &mut self.environments[index];
         for ((driven, asked), &number) in self.motors.iter().zip(&mut self.asked).zip(action) {
-            // A larger one is no part of a valid state.
+            // Valid states hold no larger ones.
             *asked = driven.scale.apply(number).clamp(-LARGEST_ACTION, LARGEST_ACTION);
             self.controls[driven.motor] = driven.limited(*asked);
         }
@@ -317,7 +317,7 @@ impl RobotEnvironments {
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
         if self.bounds.normalise(&mut self.next.coordinates) {
-            environment.world.rebuild(&self.next.coordinates, &self.next.velocities);
+            environment.world.correct(&self.next.coordinates, &self.next.velocities);
             environment.world.set_activations(&self.next.activations);
         }
         remember(&mut self.next.actions, &self.asked, &environment.now.actions);

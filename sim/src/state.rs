@@ -44,7 +44,7 @@ pub struct State {
     pub velocities: Vec<f32>,
     /// Activations of the actuators that have one, in the order of the model `[m]`.
     pub activations: Vec<f32>,
-    /// Controls of the last `k` steps, the newest first, not clamped, in the order of the joint action, `[k, A]`; at the
+    /// Controls of the last `k` steps, the newest first, not clamped to their ranges, in the order of the joint action, `[k, A]`; at the
     /// start those of action 0. `k` is 0 unless the task's reward or its delays read them.
     pub actions: Vec<f32>,
     /// Measurements in the `d` steps before, the newest first, `[d, M]`, m, rad, m/s and rad/s; at the start the first

@@ -310,7 +310,7 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
         features.extend(rules.disturbance_features());
     }
     let features: Vec<String> = features.into_iter().map(|feature| feature.name).collect();
-    let state = Names::new("feature in its global state", &features);
+    let state = Names::new("feature that its agents may observe", &features);
     let driven = robot.actuators().flat_map(|actuator| actuator.moved);
     let driven = driven.map(|joint| ("agents", joint));
     let Neighbourhood { edges, touching, globals } = &robot.neighbourhood;

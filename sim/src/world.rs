@@ -7,6 +7,7 @@ mod contact_law;
 mod diagnostics;
 mod hinge_drives;
 
+use std::mem;
 use std::sync::Arc;
 
 use rapier3d::dynamics::{Multibody, MultibodyJoint};
@@ -79,6 +80,13 @@ impl World {
     /// The robot of this world.
     pub fn robot(&self) -> &Robot {
         &self.robot
+    }
+
+    /// As [`Self::rebuild`], but keeps the efforts of the last step.
+    pub(crate) fn correct(&mut self, coordinates: &[f32], velocities: &[f32]) {
+        let efforts = mem::take(&mut self.efforts);
+        self.rebuild(coordinates, velocities);
+        self.efforts = efforts;
     }
 
     /// Discards all history and starts from this motion. All later steps depend only on it and the controls.

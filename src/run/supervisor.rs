@@ -22,8 +22,8 @@ use crate::process::{self, ProcessLog};
 
 /// How long an actor may take to leave after its standard input has closed.
 const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
-/// Longest time between an actor's end and that of its run.
-const LAST_WORDS: Duration = Duration::from_secs(3);
+/// Longest time between an actor's end and that of its run: the learner waits up to 3 s for the others.
+const LAST_WORDS: Duration = Duration::from_secs(10);
 /// The same for an actor that has to finish and check a trajectory log.
 const LOG_PATIENCE: Duration = Duration::from_secs(60);
 
@@ -119,7 +119,7 @@ impl Supervisor {
                 },
                 Err(error) => format!("actor {index} did not start: {error:#}"),
             };
-            if *self.stop.borrow() {
+            if *self.stop.borrow() || *ended.borrow() {
                 return;
             }
             self.report(&death);
@@ -277,9 +277,12 @@ mod tests {
         let (end, ended) = watch::channel(false);
         let supervised = tokio::spawn(supervise(processes, ended, stop));
         let count = || std::fs::read_to_string(&starts).map_or(0, |text| text.lines().count());
-        while count() < 2 {
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
+        let replaced = async {
+            while count() < 2 {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        };
+        tokio::time::timeout(3 * LAST_WORDS, replaced).await.unwrap();
         end.send_replace(true);
         assert_eq!(supervised.await.unwrap(), None);
     }

@@ -138,8 +138,8 @@ class Streams:
         try:
             batch = self.spare.pop()
         except IndexError:
-            batch = self._made()
-        self.streams[number] = Stream(batch)
+            batch = None
+        self.streams[number] = Stream(self._made() if batch is None else batch)
 
     def answer(self, number: int, request: bytes) -> bytes:
         """Answers one request of the stream."""

@@ -80,9 +80,7 @@ impl Robot {
         joints.reverse();
         Place { joints, inside: Frame::of(inside) }
     }
-}
 
-impl Robot {
     /// The root's body, if its axes are not those of the world in the rest pose.
     pub(crate) fn tilted_root(&self) -> Option<Place> {
         let (root, bodies) = (self.layout.root, &self.blueprint.homes);
