@@ -316,7 +316,7 @@ impl RobotEnvironments {
             self.update_state(index);
             return Outcome { truncated: true, fault: true, ..Outcome::default() };
         }
-        if self.bounds.normalise(&mut self.next.coordinates) {
+        if self.bounds.normalise_drifted(&mut self.next.coordinates) {
             environment.world.correct(&self.next.coordinates, &self.next.velocities);
             environment.world.set_activations(&self.next.activations);
         }

@@ -165,6 +165,12 @@ impl EpisodeDraws {
     }
 }
 
+/// Divides a quaternion by its length.
+pub(crate) fn normalise(quaternion: &mut [f32]) {
+    let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();
+    quaternion.iter_mut().for_each(|q| *q /= length);
+}
+
 impl StateBounds {
     /// Encoded size in bytes.
     pub fn bytes(&self) -> usize {
@@ -201,14 +207,13 @@ impl StateBounds {
 
     /// Normalises orientations whose squared length has drifted by half of what [`Self::check_motion`] allows: their rounding
     /// errors add up while a body turns steadily. Returns whether there was one.
-    pub(crate) fn normalise(&self, coordinates: &mut [f32]) -> bool {
+    pub(crate) fn normalise_drifted(&self, coordinates: &mut [f32]) -> bool {
         let mut drifted = false;
         for &index in &self.orientations {
             let quaternion = &mut coordinates[index..index + 4];
             let squared: f32 = quaternion.iter().map(|q| q * q).sum();
             if (squared - 1.0).abs() > 0.5 * LARGEST_DRIFT {
-                let length = squared.sqrt();
-                quaternion.iter_mut().for_each(|q| *q /= length);
+                normalise(quaternion);
                 drifted = true;
             }
         }

@@ -54,10 +54,9 @@ fn described(
     let agents = world.map_or_else(|| agents::of_policies(policies), agents::of_task);
     let agents = agents.into_iter().zip(policies).map(with_policy);
     // Another program's environment has the name that its description gave it.
-    let outside = RunFolder::recorded(&RunFolder::of(run)).filter(|_| !simulated);
-    let outside = outside.as_ref().and_then(|manifest| manifest["task"].as_str());
-    let task = spec.map_or_else(|| config.resolved.text("task"), |spec| &spec.task);
-    let task = outside.unwrap_or(task);
+    let outside = || RunFolder::recorded(&RunFolder::of(run))?["task"].as_str().map(str::to_owned);
+    let task = spec.map(|spec| spec.task.clone()).or_else(outside);
+    let task = task.unwrap_or_else(|| config.resolved.text("task").to_owned());
     let description = json!({
         "run": run_path::name(&RunFolder::of(run)),
         "task": task,

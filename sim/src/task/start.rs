@@ -12,6 +12,7 @@ use super::names::Names;
 use crate::error::{SimError, short};
 use crate::noise;
 use crate::robot::{Keyframe, Robot};
+use crate::state::normalise;
 
 /// Largest draw of the standard normal distribution in [`crate::noise::normal`]: `sqrt(-2 ln 2^-24)`, rounded up.
 const FARTHEST_NORMAL: f32 = 5.77;
@@ -191,9 +192,7 @@ impl Start {
         }
         if self.positions.iter().any(Option::is_some) || !self.coordinates.is_empty() {
             for first in &self.orientations {
-                let quaternion = &mut coordinates[*first..first + 4];
-                let length = quaternion.iter().map(|q| q * q).sum::<f32>().sqrt();
-                quaternion.iter_mut().for_each(|q| *q /= length);
+                normalise(&mut coordinates[*first..first + 4]);
             }
         }
         if let Some(distribution) = self.velocities {

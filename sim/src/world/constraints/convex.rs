@@ -64,6 +64,24 @@ mod tests {
         (manifold.local_n1, point.dist, point.local_p1)
     }
 
+    /// The contact of two shapes that the engine finds, sharpened.
+    fn touch(shapes: [&dyn Shape; 2], between: &Pose) -> ContactManifold<(), ()> {
+        let mut manifold = ContactManifold::new();
+        let [one, other] = shapes;
+        let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
+            between,
+            one,
+            other,
+            None,
+            None,
+            0.0,
+            &mut manifold,
+        );
+        assert!(found.is_ok());
+        sharpen(shapes, between, 0.0, &mut manifold);
+        manifold
+    }
+
     /// The upper edge of a box along x and the lower one of another along y cross a tenth of their size deep. Sizes in m.
     #[test]
     fn crossed_edges_touch_in_one_point() {
@@ -75,18 +93,7 @@ mod tests {
             let below = Pose::from_parts(Vector::ZERO, turned(Vector::X));
             let above = Vector::new(0.1 * size, 0.15 * size, 2.0 * height - 0.1 * size);
             let between = below.inv_mul(&Pose::from_parts(above, turned(Vector::Y)));
-            let mut manifold = ContactManifold::<(), ()>::new();
-            let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
-                &between,
-                &*cube,
-                &*cube,
-                None,
-                None,
-                0.0,
-                &mut manifold,
-            );
-            assert!(found.is_ok());
-            sharpen([&*cube, &*cube], &between, 0.0, &mut manifold);
+            let manifold = touch([&*cube, &*cube], &between);
             let [point] = &manifold.points[..] else { panic!("{} points", manifold.points.len()) };
             assert!((below.rotation * manifold.local_n1 - Vector::Z).length() < 1e-3);
             let off = below * point.local_p1 - Vector::new(0.1 * size, 0.0, height);
@@ -107,18 +114,7 @@ mod tests {
             let tilted = Rotation::from_rotation_y(tilt.to_radians());
             let between =
                 pose.inv_mul(&Pose::from_parts(Vector::Z * (height + 0.03 - 4e-3), tilted));
-            let mut manifold = ContactManifold::<(), ()>::new();
-            let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
-                &between,
-                &*below,
-                &*above,
-                None,
-                None,
-                0.0,
-                &mut manifold,
-            );
-            assert!(found.is_ok());
-            sharpen([&*below, &*above], &between, 0.0, &mut manifold);
+            let manifold = touch([&*below, &*above], &between);
             assert_eq!(manifold.points.len(), count, "{roll} {tilt}");
         }
     }
@@ -131,18 +127,7 @@ mod tests {
             let start = Vector::new(0.1, 0.0, 0.0);
             let capsule =
                 SharedShape::capsule(start, start + 0.3 * Vector::new(cosine, 0.0, sine), 0.03);
-            let mut manifold = ContactManifold::<(), ()>::new();
-            let found = DefaultQueryDispatcher.contact_manifold_convex_convex(
-                &Pose::IDENTITY,
-                &*cube,
-                &*capsule,
-                None,
-                None,
-                0.0,
-                &mut manifold,
-            );
-            assert!(found.is_ok());
-            sharpen([&*cube, &*capsule], &Pose::IDENTITY, 0.0, &mut manifold);
+            let manifold = touch([&*cube, &*capsule], &Pose::IDENTITY);
             assert!((manifold.local_n1 - Vector::X).length() < 1e-3, "{}", manifold.local_n1);
             let deepest = manifold.points.iter().map(|point| point.dist).fold(0.0, f32::min);
             assert!((deepest + 0.03).abs() < 1e-5, "{step}: {deepest}");
