@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use clap::Args;
 use learner::observe::metrics::{self, Curves, Returns};
 use learner::observe::snapshot::FilmedEpisode;
-use learner::serve::page::{EpisodeName, RunFacts, Runs, ShownRun, ShownRuns};
+use learner::serve::page::{EpisodeName, RunFacts, Runs, ShownRun};
 use learner::store::json_lines::JsonLinesReader;
 use learner::store::run_folder::{METRICS, RunFolder};
 use learner::store::{checkpoint, plain_file};
@@ -101,30 +101,22 @@ struct Played {
     film: Arc<FilmedEpisode>,
 }
 
-impl StoredRuns {
-    fn folder(&self, run: usize) -> Result<&Path, String> {
-        let unknown = || format!("there is no run {run}, only {} runs", self.folders.len());
-        self.folders.get(run).map(PathBuf::as_path).ok_or_else(unknown)
-    }
-}
-
 impl Runs for StoredRuns {
-    fn look(&self) -> ShownRuns {
+    fn look(&self) -> Vec<ShownRun> {
         self.followed.lock().unwrap_or_else(PoisonError::into_inner).look()
     }
 
     fn facts(&self, run: usize) -> Result<RunFacts, String> {
-        facts(self.folder(run)?).map_err(|error| format!("{error:#}"))
+        facts(&self.folders[run]).map_err(|error| format!("{error:#}"))
     }
 
     fn film(&self, run: usize, name: EpisodeName) -> Result<Option<Arc<FilmedEpisode>>, String> {
-        let folder = self.folder(run)?;
         let Ok(mut played) = self.played.try_lock() else { return Ok(None) };
         let is_this = |known: &&Played| (known.run, known.name) == (run, name);
         if let Some(known) = played.as_ref().filter(is_this) {
             return Ok(Some(Arc::clone(&known.film)));
         }
-        let film = Arc::new(play(folder, name).map_err(|error| format!("{error:#}"))?);
+        let film = Arc::new(play(&self.folders[run], name).map_err(|error| format!("{error:#}"))?);
         *played = Some(Played { run, name, film: Arc::clone(&film) });
         Ok(Some(film))
     }
@@ -167,7 +159,6 @@ fn play(folder: &Path, name: EpisodeName) -> anyhow::Result<FilmedEpisode> {
 /// Several runs, whose metrics are read when the page is requested.
 struct Followed {
     runs: Vec<FollowedRun>,
-    version: u64,
     looked: Option<Instant>,
 }
 
@@ -178,6 +169,8 @@ struct FollowedRun {
     group: Result<String, String>,
     metrics: JsonLinesReader,
     curves: Arc<Curves>,
+    /// Number of looks that found something new.
+    version: u64,
     /// Mean returns of the evaluations.
     returns: Returns,
     /// Lines that are no JSON objects.
@@ -194,6 +187,7 @@ impl FollowedRun {
             group,
             metrics: JsonLinesReader::of(folder.join(METRICS)),
             curves: Arc::default(),
+            version: 0,
             returns: BTreeMap::new(),
             damaged: 0,
             error: None,
@@ -212,6 +206,7 @@ impl FollowedRun {
             group: self.group.clone().ok(),
             trouble,
             curves: Arc::clone(&self.curves),
+            version: self.version,
             live: None,
             policies: checkpoints.into_iter().map(evaluated).collect(),
             episodes: EPISODES,
@@ -229,10 +224,9 @@ impl FollowedRun {
         self.error.clone().or(damage).map(|why| format!("{name}: {why}"))
     }
 
-    /// Reads what is new, and returns whether anything is. Metrics that cannot be read are tried again; each new reason
-    /// is reported once.
-    fn follow(&mut self) -> bool {
-        match self.metrics.more() {
+    /// Reads what is new. Metrics that cannot be read are tried again; each new reason is reported once.
+    fn follow(&mut self) {
+        let is_new = match self.metrics.more() {
             Ok(new) => {
                 let is_readable_again = self.error.take().is_some();
                 if new.from_the_start {
@@ -254,7 +248,8 @@ impl FollowedRun {
                 self.error = Some(error);
                 is_new
             }
-        }
+        };
+        self.version += u64::from(is_new);
     }
 }
 
@@ -262,23 +257,16 @@ impl Followed {
     fn of(folders: &[PathBuf]) -> Self {
         let all = folders.iter().zip(names(folders)).zip(groups(folders));
         let runs = all.map(|((folder, name), group)| FollowedRun::new(folder, name, group));
-        Self { runs: runs.collect(), version: 0, looked: None }
+        Self { runs: runs.collect(), looked: None }
     }
 
     /// The curves, read again if the last look is old enough.
-    fn look(&mut self) -> ShownRuns {
+    fn look(&mut self) -> Vec<ShownRun> {
         if self.looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
-            self.follow();
+            self.runs.iter_mut().for_each(FollowedRun::follow);
             self.looked = Some(Instant::now());
         }
-        let runs = self.runs.iter().map(FollowedRun::shown).collect();
-        ShownRuns { version: self.version, runs }
-    }
-
-    fn follow(&mut self) {
-        for run in &mut self.runs {
-            self.version += u64::from(run.follow());
-        }
+        self.runs.iter().map(FollowedRun::shown).collect()
     }
 }
 
@@ -340,26 +328,28 @@ mod tests {
         let path = folder.path().join("metrics.jsonl");
         std::fs::create_dir(&path).unwrap();
         let mut run = in_no_group(folder.path());
-        assert_eq!([run.follow(), run.follow()], [true, false]);
+        run.follow();
+        run.follow();
+        assert_eq!(run.version, 1);
         assert!(run.trouble().unwrap().contains("directory"), "{:?}", run.trouble());
         std::fs::remove_dir(&path).unwrap();
-        assert_eq!((run.follow(), run.trouble()), (true, None));
+        run.follow();
+        assert_eq!((run.version, run.trouble()), (2, None));
     }
 
     #[test]
-    fn only_a_growing_run_changes_the_version() {
+    fn only_a_growing_run_gets_a_new_version() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.jsonl");
         let line = "{\"kind\":\"iteration\",\"env_steps\":40,\"a\":1}\n";
         std::fs::write(&path, line).unwrap();
-        let mut followed = Followed::of(&[folder.path().to_path_buf()]);
-        assert_eq!(followed.look().version, 1);
-        followed.follow();
-        assert_eq!(followed.look().version, 1);
+        let mut run = in_no_group(folder.path());
+        run.follow();
+        run.follow();
+        assert_eq!(run.shown().version, 1);
         let mut file = std::fs::File::options().append(true).open(&path).unwrap();
         file.write_all(line.as_bytes()).unwrap();
-        followed.follow();
-        let ShownRuns { version, runs } = followed.look();
-        assert_eq!((version, runs[0].curves.lines()), (2, 2));
+        run.follow();
+        assert_eq!((run.shown().version, run.shown().curves.lines()), (2, 2));
     }
 }

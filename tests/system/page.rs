@@ -46,7 +46,7 @@ impl Page {
             let (code, ..) = self.ask(&format!("{request}\r\nHost: localhost\r\n\r\n"));
             assert_eq!(code, *expected, "{request}");
         }
-        for path in ["/", "/api/curves"] {
+        for path in ["/", "/api/curves/0"] {
             let (code, ..) = self.ask(&format!("GET {path} HTTP/1.1\r\nHost: example.org\r\n\r\n"));
             assert_eq!(code, 403, "{path}");
         }
@@ -146,9 +146,9 @@ fn the_figures_of_prometheus_and_of_the_page_equal_the_metrics_and_the_status() 
     assert_eq!(film["return"], extrinsic_return);
     let numbers = film["ends"].as_array().unwrap().len();
     assert_eq!(numbers, 400 * film["radii"].as_array().unwrap().len() * 6);
-    let curves = page.json("/api/curves");
-    assert_eq!(curves["version"], shown["version"]);
-    let curve = &curves["curves"][0]["rollout_secs"];
+    let curves = page.json("/api/curves/0");
+    assert_eq!(curves["version"], run["version"]);
+    let curve = &curves["curves"]["rollout_secs"];
     assert_eq!(curve[0].as_array().unwrap().len() as u64, line["iteration"].as_u64().unwrap());
 }
 
@@ -179,7 +179,7 @@ fn idle_connections_and_continuous_requests_do_not_block_the_run_or_affect_its_w
             "/metrics.md",
             "/api/runs",
             "/api/runs/0",
-            "/api/curves",
+            "/api/curves/0",
             "/api/film/0/0/0",
             "/metrics",
         ];
@@ -228,21 +228,29 @@ fn the_page_of_several_runs_has_all_their_curves_and_follows_those_that_grow() {
     write_run(&folder.join("runs/second"), -2.0);
     std::fs::create_dir(folder.join("runs/notes")).unwrap();
     let (_process, page) = page_of_runs(&folder, &[]);
-    let found = page.json("/api/curves");
-    let evaluation = |run: usize, found: &Value| found["curves"][run]["evaluation/mean"].clone();
-    assert_eq!(evaluation(0, &found), json!([[40], [1.5]]));
-    assert_eq!(evaluation(1, &found), json!([[40], [-2.0]]));
-    let before = page.json("/api/runs");
-    assert_eq!([0, 1].map(|run| before["runs"][run]["name"].clone()), ["first", "second"]);
-    assert_eq!(before["version"], found["version"]);
+    let curves = |run: usize| page.json(&format!("/api/curves/{run}"));
+    let evaluation = |run: usize| curves(run)["curves"]["evaluation/mean"].clone();
+    assert_eq!([evaluation(0), evaluation(1)], [json!([[40], [1.5]]), json!([[40], [-2.0]])]);
+    let of_runs = |key: &str| {
+        let found = page.json("/api/runs");
+        [0, 1].map(|run| found["runs"][run][key].clone())
+    };
+    assert_eq!(of_runs("name"), ["first", "second"]);
+    let before = of_runs("version");
+    assert_eq!(before, [0, 1].map(|run| curves(run)["version"].clone()));
     add_evaluation(&folder.join("runs/second"), 80, 3.0);
-    eventually(|| {
-        let now = page.json("/api/runs");
-        if now["version"] == before["version"] { Err(now.to_string()) } else { Ok(()) }
+    let now = eventually(|| {
+        let now = of_runs("version");
+        if now == before { Err(format!("{now:?}")) } else { Ok(now) }
     });
-    let grown = page.json("/api/curves");
-    assert_eq!(evaluation(1, &grown), json!([[40, 80], [-2.0, 3.0]]));
-    assert_eq!(evaluation(0, &grown), evaluation(0, &found));
+    assert_eq!(now[0], before[0], "only the run that grew has a new version");
+    assert_eq!(
+        [evaluation(0), evaluation(1)],
+        [json!([[40], [1.5]]), json!([[40, 80], [-2.0, 3.0]])]
+    );
+    let unknown =
+        ["runs/2", "curves/2", "film/2/1/0"].map(|path| format!("GET /api/{path} HTTP/1.1"));
+    page.answers(&unknown.each_ref().map(|path| (path.as_str(), 404)));
 }
 
 #[test]
@@ -277,7 +285,7 @@ fn runs_that_differ_only_in_their_seed_have_one_group_and_a_damaged_run_has_none
     // The damaged run grows again.
     add_evaluation(&damaged, 40, 3.0);
     eventually(|| {
-        let curve = page.json("/api/curves")["curves"][3]["evaluation/mean"].clone();
+        let curve = page.json("/api/curves/3")["curves"]["evaluation/mean"].clone();
         if curve == json!([[40], [3.0]]) { Ok(()) } else { Err(curve.to_string()) }
     });
 }
@@ -296,12 +304,8 @@ fn the_page_of_a_finished_run_plays_its_episodes_and_has_the_command_that_trains
         let film = page.json(&format!("/api/film/0/2/{index}"));
         assert_eq!(film["return"], of_eval["episodes"][index]["return"]);
     }
-    for (path, reason) in
-        [("0/1/0", "no checkpoint of iteration 1"), ("1/2/0", "there is no run 1")]
-    {
-        let why = page.json(&format!("/api/film/{path}"))["error"].to_string();
-        assert!(why.contains(reason), "{why}");
-    }
+    let why = page.json("/api/film/0/1/0")["error"].to_string();
+    assert!(why.contains("no checkpoint of iteration 1"), "{why}");
     let facts = page.json("/api/runs/0");
     assert_eq!(facts["settings"], std::fs::read_to_string(folder.join("config.toml")).unwrap());
     let words: Vec<_> = facts["command"].as_str().unwrap().split(' ').collect();

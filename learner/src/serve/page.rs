@@ -35,8 +35,8 @@ pub struct Page {
 
 /// The runs that a page shows. The methods are called on blocking threads.
 pub trait Runs: Send + Sync {
-    /// The runs now.
-    fn look(&self) -> ShownRuns;
+    /// The runs now, always in the same order.
+    fn look(&self) -> Vec<ShownRun>;
 
     /// Constants of the run with this index.
     ///
@@ -61,15 +61,6 @@ pub struct EpisodeName {
     pub index: u32,
 }
 
-/// All runs at one time.
-#[derive(Clone, Debug, Default)]
-pub struct ShownRuns {
-    /// Counts changes: with equal numbers, all curves are equal.
-    pub version: u64,
-    /// The runs, always in the same order.
-    pub runs: Vec<ShownRun>,
-}
-
 /// A run at one time.
 #[derive(Clone, Debug, Default)]
 pub struct ShownRun {
@@ -81,6 +72,8 @@ pub struct ShownRun {
     pub trouble: Option<String>,
     /// Its curves.
     pub curves: Arc<Curves>,
+    /// Counts changes of the curves: with equal numbers, they are equal.
+    pub version: u64,
     /// Stage, leases and so on, of the run of this process.
     pub live: Option<Value>,
     /// The policies of which episodes can be shown, in order: iteration, and return if they were evaluated.

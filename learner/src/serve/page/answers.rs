@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use serde_json::{Map, Value, json};
 
-use super::{RunFacts, ShownRun, ShownRuns};
+use super::{RunFacts, ShownRun};
 use crate::observe::metrics::Curves;
 use crate::observe::snapshot::FilmedEpisode;
 
 /// What changes of the runs, without their curves.
-pub(super) fn runs(shown: &ShownRuns) -> Value {
+pub(super) fn runs(shown: &[ShownRun]) -> Value {
     let of_run = |run: &ShownRun| {
-        let ShownRun { name, group, trouble, live, policies, episodes, .. } = run;
+        let ShownRun { name, group, trouble, live, policies, episodes, version, .. } = run;
         let policies = policies.iter().map(|(iteration, mean)| json!([iteration, mean]));
         json!({
             "name": name,
@@ -20,16 +20,15 @@ pub(super) fn runs(shown: &ShownRuns) -> Value {
             "live": live,
             "policies": policies.collect::<Vec<_>>(),
             "episodes": episodes,
+            "version": version,
         })
     };
-    let runs: Vec<_> = shown.runs.iter().map(of_run).collect();
-    json!({"version": shown.version, "runs": runs})
+    json!({"runs": shown.iter().map(of_run).collect::<Vec<_>>()})
 }
 
-/// All curves of each run since its start: environment steps and figures, as arrays of equal length.
-pub(super) fn curves(shown: &ShownRuns) -> Value {
-    let curves: Vec<_> = shown.runs.iter().map(|run| arrays(&run.curves)).collect();
-    json!({"version": shown.version, "curves": curves})
+/// All curves of a run since its start: environment steps and figures, as arrays of equal length.
+pub(super) fn curves(shown: &ShownRun) -> Value {
+    json!({"version": shown.version, "curves": arrays(&shown.curves)})
 }
 
 fn arrays(curves: &Curves) -> Map<String, Value> {

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::{Value, json};
 
-use super::{EpisodeName, RunFacts, Runs, ShownRun, ShownRuns};
+use super::{EpisodeName, RunFacts, Runs, ShownRun};
 use crate::launch::Launch;
 use crate::lease::exchange::{Exchange, status_json};
 use crate::observe::metrics::Curves;
@@ -61,20 +61,21 @@ impl RunView {
 }
 
 impl Runs for RunView {
-    fn look(&self) -> ShownRuns {
+    fn look(&self) -> Vec<ShownRun> {
         let run = self.exchange.run_snapshot();
         let curves = self.curves().clone();
         let evaluated =
             |film: &Arc<FilmedEpisode>| (film.version.0, Some(film.result.extrinsic_return));
-        let shown = ShownRun {
+        vec![ShownRun {
             name: run.status.run_id.clone(),
             live: Some(status(&run)),
             policies: run.films.iter().map(evaluated).collect(),
             episodes: 1,
-            ..ShownRun::default()
-        };
-        let version = curves.lines();
-        ShownRuns { version, runs: vec![ShownRun { curves: Arc::new(curves), ..shown }] }
+            version: curves.lines(),
+            curves: Arc::new(curves),
+            group: None,
+            trouble: None,
+        }]
     }
 
     fn facts(&self, _run: usize) -> Result<RunFacts, String> {

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::Body;
 use axum::extract::{Path, Request, State};
 use axum::http::header::{
     ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, REFERRER_POLICY,
@@ -30,7 +29,7 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 use tokio_rustls::TlsAcceptor;
 
-use super::{EpisodeName, Hosts, Page, RunView, Runs, answers, exposition};
+use super::{EpisodeName, Hosts, Page, RunView, Runs, ShownRun, answers, exposition};
 use crate::serve::accepting::Accepting;
 
 /// The page with its script and style.
@@ -55,7 +54,7 @@ const EXPLANATIONS: &str = include_str!("../../../../docs/PAPER.md");
 const MOST_CONNECTIONS: usize = 32;
 /// Time limit for the handshake and the request of a connection.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// Time limit for a connection with its response, which has the curves of all runs.
+/// Time limit for a connection with its response.
 const LONGEST: Duration = Duration::from_secs(60);
 /// Most bytes of a request without its body; bodies are never read.
 const MOST_HEADER_BYTES: usize = 16 << 10;
@@ -77,8 +76,10 @@ pub async fn serve(page: Page, runs: Arc<dyn Runs>) {
 /// Serves the run of this process, also for Prometheus, until dropped.
 pub(crate) async fn serve_live(page: Page, view: Arc<RunView>) {
     let scraped = Arc::clone(&view);
-    let text = move || exposition::text(&scraped);
-    let metrics = get(async move || written(exposition::CONTENT_TYPE, text).await);
+    let text = move || {
+        ([(CONTENT_TYPE, exposition::CONTENT_TYPE)], exposition::text(&scraped)).into_response()
+    };
+    let metrics = get(async move || answered(text).await);
     let routes = routes(view).route("/metrics", metrics);
     accept(page.listener, page.tls, &checked(routes, page.hosts)).await;
 }
@@ -90,22 +91,27 @@ fn routes(runs: Arc<dyn Runs>) -> Router {
         .route("/metrics.md", get(async || ([(CONTENT_TYPE, "text/markdown")], EXPLANATIONS)))
         .route(
             "/api/runs",
-            get(async |State(runs): Shared| json(move || answers::runs(&runs.look())).await),
-        )
-        .route(
-            "/api/curves",
-            get(async |State(runs): Shared| json(move || answers::curves(&runs.look())).await),
+            get(async |State(runs): Shared| {
+                answered(move || json(&answers::runs(&runs.look()))).await
+            }),
         )
         .route(
             "/api/runs/{run}",
             get(async |State(runs): Shared, Path(run): Path<usize>| {
-                json(move || answers::facts(runs.facts(run))).await
+                of_run(runs, run, move |runs, _| answers::facts(runs.facts(run))).await
+            }),
+        )
+        .route(
+            "/api/curves/{run}",
+            get(async |State(runs): Shared, Path(run): Path<usize>| {
+                of_run(runs, run, |_, shown| answers::curves(shown)).await
             }),
         )
         .route(
             "/api/film/{run}/{iteration}/{episode}",
             get(async |State(runs): Shared, Path((run, iteration, index)): Named| {
-                json(move || answers::film(runs.film(run, EpisodeName { iteration, index }))).await
+                let name = EpisodeName { iteration, index };
+                of_run(runs, run, move |runs, _| answers::film(runs.film(run, name))).await
             }),
         )
         .with_state(runs)
@@ -194,19 +200,33 @@ async fn check(State(rules): State<Arc<Rules>>, request: Request, next: Next) ->
     response
 }
 
-async fn json(answer: impl FnOnce() -> Value + Send + 'static) -> Response<Body> {
-    written("application/json", move || answer().to_string()).await
+/// Responds with what `answer` makes of the run with this index, or with the status code 404.
+async fn of_run(
+    runs: Arc<dyn Runs>,
+    run: usize,
+    answer: impl FnOnce(&dyn Runs, &ShownRun) -> Value + Send + 'static,
+) -> Response {
+    answered(move || {
+        let all = runs.look();
+        match all.get(run) {
+            Some(shown) => json(&answer(&*runs, shown)),
+            None => {
+                let why = format!("there is no run {run}: the {} runs are counted from 0\n", all.len());
+                (StatusCode::NOT_FOUND, why).into_response()
+            }
+        }
+    })
+    .await
 }
 
-/// Responds with the text that `write` produces. It runs on a blocking thread, because actors need the network threads.
-async fn written(
-    content_type: &'static str,
-    write: impl FnOnce() -> String + Send + 'static,
-) -> Response<Body> {
-    match tokio::task::spawn_blocking(write).await {
-        Ok(text) => ([(CONTENT_TYPE, content_type)], text).into_response(),
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
+fn json(answer: &Value) -> Response {
+    ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
+}
+
+/// Responds with `answer`, which runs on a blocking thread, because actors need the network threads.
+async fn answered(answer: impl FnOnce() -> Response + Send + 'static) -> Response {
+    let response = tokio::task::spawn_blocking(answer).await;
+    response.unwrap_or_else(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response())
 }
 
 /// Content security policy: the page's own inline script and style, and requests to its own origin only.

@@ -10,7 +10,7 @@ const DEFAULTS = {
 };
 
 let view = {...DEFAULTS}, writing = null, smoothing = 0, zoom = null, drawn = new Map(), meanings = new Map();
-let runs = [], facts = null, factsOf = null, filmOf = null, looks = [], version = null, curvesAt = -Infinity, lostAt = null;
+let runs = [], facts = null, factsOf = null, filmOf = null, looks = [], curvesAt = -Infinity, lostAt = null;
 
 const list = (text) => text ? text.split("\n") : [];
 
@@ -326,17 +326,19 @@ async function ask(path) {
 }
 
 async function look() {
-  const found = await ask("/api/runs"), [live] = found.runs.map((run) => run.live);
-  const isOther = found.runs[0].name !== runs[0]?.name || live?.status.incarnation !== runs[0].live?.status.incarnation;
-  if (isOther) [version, looks] = [null, []];
-  runs = found.runs.map((run, i) => ({...run, curves: runs[i]?.curves ?? {}}));
+  const found = (await ask("/api/runs")).runs, [live] = found.map((run) => run.live);
+  const isOther = found[0].name !== runs[0]?.name || live?.status.incarnation !== runs[0].live?.status.incarnation;
+  if (isOther) [runs, looks, curvesAt] = [[], [], -Infinity];
+  runs = found.map((run, i) => ({...run, curves: runs[i]?.curves ?? {}, curvesVersion: runs[i]?.curvesVersion}));
   byId("name").textContent = runs.length === 1 ? runs[0].name : `${runs.length} runs`;
   document.title = `${byId("name").textContent} - s2mia`;
-  const now = performance.now();
-  if (found.version !== version && (version === null || !live || now - curvesAt > CURVES_MILLIS)) {
-    const {curves, version: newest} = await ask("/api/curves");
-    [version, curvesAt] = [newest, now];
-    runs.forEach((run, i) => { run.curves = curves[i]; });
+  const now = performance.now(), changed = runs.filter((run) => run.version !== run.curvesVersion);
+  if (changed.length && (!live || now - curvesAt > CURVES_MILLIS)) {
+    for (const run of changed) {
+      const {curves, version} = await ask(`/api/curves/${runs.indexOf(run)}`);
+      Object.assign(run, {curves, curvesVersion: version});
+    }
+    curvesAt = now;
     show(false);
   } else {
     showEpisodes();
