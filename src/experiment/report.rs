@@ -146,11 +146,14 @@ fn markdown(
          intervals; final is the mean over the last tenth of the run; learnt is {share:.0} % of the way from the return at the \
          start to the task's best final return.\n\n\
          | task | variant | runs | final return | mean return over training | steps until learnt (median) \
-         | P(better than {}) |\n| --- | --- | --- | --- | --- | --- | --- |\n",
+         | P(better than {}) | p |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n",
         file.baseline
     );
     for row in rows {
-        let improvement = row.improvement.map_or_else(|| "-".to_owned(), |p| shown(p, 2));
+        let improvement = row.improvement.map_or_else(
+            || "- | -".to_owned(),
+            |found| format!("{} | {:.3}", shown(found.probability, 2), found.p_value),
+        );
         text += &format!(
             "| {} | {} | {} | {} | {} | {} ({}/{}) | {improvement} |\n",
             row.task,
@@ -262,7 +265,8 @@ mod tests {
         let file: ExperimentFile = toml::from_str(SAMPLE).unwrap();
         let text = markdown(&[sample()], &file, (3, 5));
         assert!(text.starts_with("3 of 5 runs are finished."), "{text}");
-        let row = "| ant-4x2 | near | 3 | 86 (85 to 87) | 51 (50 to 52) | 150,000 (2/3) | - |\n";
+        let row =
+            "| ant-4x2 | near | 3 | 86 (85 to 87) | 51 (50 to 52) | 150,000 (2/3) | - | - |\n";
         assert!(text.ends_with(row), "{text}");
     }
 }

@@ -6,7 +6,7 @@ use policy::{Draw, Purpose};
 
 use crate::figures::statistics::{
     Interval, area_under_curve, bootstrap_interval, first_reaching, interquartile_mean,
-    interquartile_mean_interval, probability_of_improvement, quantile,
+    interquartile_mean_interval, permutation_p_value, probability_of_improvement, quantile,
 };
 
 /// A figure and its 95 % confidence interval.
@@ -56,8 +56,17 @@ pub(crate) struct ResultRow {
     pub(crate) steps_to_threshold: Option<f64>,
     /// Runs that reach the threshold.
     pub(crate) runs_at_threshold: usize,
-    /// Probability that a run of the variant ends higher than one of the baseline; `None` for the baseline itself.
-    pub(crate) improvement: Option<Estimate>,
+    /// Against the baseline; `None` for the baseline itself.
+    pub(crate) improvement: Option<Improvement>,
+}
+
+/// How the final returns of a variant's runs on a task compare with the baseline's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Improvement {
+    /// Probability that a run of the variant ends higher than one of the baseline.
+    pub(crate) probability: Estimate,
+    /// P-value of a two-sided permutation test of that probability.
+    pub(crate) p_value: f64,
 }
 
 /// The curves of each variant on each task, by task and variant.
@@ -165,9 +174,13 @@ fn mean(values: &[f64], figure: u32) -> Estimate {
     }
 }
 
-fn improvement(runs: &[f64], baseline: &[f64]) -> Estimate {
+fn improvement(runs: &[f64], baseline: &[f64]) -> Improvement {
     let of = |samples: &[Vec<f64>]| probability_of_improvement(&samples[0], &samples[1]);
-    Estimate::of(&[runs, baseline], 2, of)
+    let key = Draw::of(Purpose::Bootstrap).step(6);
+    Improvement {
+        probability: Estimate::of(&[runs, baseline], 2, of),
+        p_value: permutation_p_value(&[(runs.to_vec(), baseline.to_vec())], key),
+    }
 }
 
 /// The median, in which a run that never reaches the threshold counts as infinity.
@@ -210,8 +223,11 @@ mod tests {
         // Areas 70, 55 and 20: (20 + 70) / 6 + 55 * 2 / 3.
         assert!((new.area.value - (15.0 + 110.0 / 3.0)).abs() < 1e-9, "{new:?}");
         // Two of three end above 40.
-        assert!((new.improvement.unwrap().value - 2.0 / 3.0).abs() < 1e-9, "{new:?}");
-        assert_eq!(new.improvement.unwrap().interval, Interval { low: 0.0, high: 1.0 });
+        let Improvement { probability, p_value } = new.improvement.unwrap();
+        assert!((probability.value - 2.0 / 3.0).abs() < 1e-9, "{new:?}");
+        assert_eq!(probability.interval, Interval { low: 0.0, high: 1.0 });
+        // Whichever of the four runs is the baseline's, P is at least 1/6 from 1/2.
+        assert_eq!(p_value, 1.0);
         assert_eq!((happo.runs_at_threshold, happo.steps_to_threshold), (0, None));
         assert_eq!(
             (happo.final_return.value, happo.area.value, happo.improvement),

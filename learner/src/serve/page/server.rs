@@ -211,7 +211,8 @@ async fn of_run(
         match all.get(run) {
             Some(shown) => json(&answer(&*runs, shown)),
             None => {
-                let why = format!("there is no run {run}: the {} runs are counted from 0\n", all.len());
+                let why =
+                    format!("there is no run {run}: the {} runs are counted from 0\n", all.len());
                 (StatusCode::NOT_FOUND, why).into_response()
             }
         }
