@@ -138,7 +138,16 @@ fn a_full_disk_or_a_crash_at_any_step_keeps_the_previous_checkpoint_and_a_retry_
             assert_eq!(names(&run.folder()), whole, "{fault:?} {step:?}");
         }
         seen.dedup();
-        assert_eq!(seen, Step::ALL);
+        let all = [
+            Step::MakeFolder,
+            Step::WriteFile,
+            Step::FlushFiles,
+            Step::Rename,
+            Step::FlushName,
+            Step::NameLatest,
+            Step::RemoveOld,
+        ];
+        assert_eq!(seen, all);
     }
 }
 

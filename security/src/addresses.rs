@@ -11,6 +11,21 @@ pub fn is_loopback(host: &str) -> bool {
     address.map_or(bare.eq_ignore_ascii_case("localhost"), |address| address.is_loopback())
 }
 
+/// What names the host in a URL or in `HOST:PORT`: with its port, and with what is before `@`.
+fn authority(url: &str) -> &str {
+    let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
+    rest.split(['/', '?', '#']).next().unwrap_or_default()
+}
+
+/// The host of a URL or of `HOST:PORT`, an IPv6 address without its brackets.
+#[must_use]
+pub fn host(url: &str) -> &str {
+    let authority = authority(url);
+    let host = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
+    let (address, end) = host.strip_prefix('[').map_or((host, ':'), |address| (address, ']'));
+    address.split(end).next().unwrap_or(address)
+}
+
 /// The port of a URL is not a number from 0 to 65535.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the port {0} is not a number from 0 to 65535")]
@@ -22,10 +37,8 @@ pub struct InvalidPort(pub String);
 /// # Errors
 /// If the port is not a number from 0 to 65535.
 pub fn check_port(url: &str) -> Result<(), InvalidPort> {
-    let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
-    let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
     // An address in brackets contains colons.
-    let after_host = authority.rsplit(['@', ']']).next().unwrap_or_default();
+    let after_host = authority(url).rsplit(['@', ']']).next().unwrap_or_default();
     match after_host.rsplit_once(':') {
         Some((_, port)) if port.parse::<u16>().is_err() => Err(InvalidPort(port.to_owned())),
         _ => Ok(()),
@@ -48,6 +61,19 @@ mod tests {
             ("learner:", ""),
         ] {
             assert_eq!(check_port(url), Err(InvalidPort(port.to_owned())), "{url}");
+        }
+    }
+
+    #[test]
+    fn the_host_has_neither_user_nor_port_nor_path() {
+        for (url, expected) in [
+            ("http://user:word@learner:50051/a:b@c", "learner"),
+            ("https://[::1]:50051", "::1"),
+            ("10.0.0.5:50051", "10.0.0.5"),
+            ("learner", "learner"),
+            ("http://127.0.0.1#@example.org", "127.0.0.1"),
+        ] {
+            assert_eq!(host(url), expected, "{url}");
         }
     }
 

@@ -1,14 +1,14 @@
 //! `s2mia certs`: writes a new certificate authority and a certificate for each role.
 
-use std::fs::{DirBuilder, OpenOptions};
-use std::io::Write as _;
+use std::fs::DirBuilder;
 use std::net::IpAddr;
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
 use clap::Args;
+use learner::store::durable;
 use security::Role;
 use security::development::{Issued, Issuer};
 
@@ -42,10 +42,6 @@ fn host(text: &str) -> Result<String, String> {
     Err("must be host names or addresses without a port".to_owned())
 }
 
-/// Only the owner may read a private key.
-const SECRET: u32 = 0o600;
-/// Everyone may read a certificate.
-const PUBLIC: u32 = 0o644;
 /// Only the owner may list the folder.
 const PRIVATE_FOLDER: u32 = 0o700;
 
@@ -60,7 +56,7 @@ pub(super) fn run(arguments: &CertsArguments) -> anyhow::Result<()> {
         .server(&arguments.names)
         .map_err(|error| Usage::new(format!("--names {}: {error}", arguments.names.join(","))))?;
     make_empty(folder)?;
-    write(&folder.join("ca.pem"), &issuer.certificate(), PUBLIC)?;
+    durable::replace(&folder.join("ca.pem"), issuer.certificate().as_bytes())?;
     write_pair(folder, "server", &server)?;
     for role in Role::ALL {
         write_pair(folder, role.name(), &issuer.client(&[role])?)?;
@@ -85,19 +81,8 @@ fn make_empty(folder: &Path) -> anyhow::Result<()> {
 }
 
 fn write_pair(folder: &Path, name: &str, issued: &Issued) -> anyhow::Result<()> {
-    write(&folder.join(format!("{name}.pem")), &issued.certificate, PUBLIC)?;
-    write(&folder.join(format!("{name}.key")), &issued.key, SECRET)
-}
-
-/// Writes a new file; never overwrites one.
-fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
-    let written = OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(mode)
-        .open(path)
-        .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()));
-    written.with_context(|| format!("cannot write {}", path.display()))
+    durable::replace(&folder.join(format!("{name}.pem")), issued.certificate.as_bytes())?;
+    Ok(durable::replace_private(&folder.join(format!("{name}.key")), issued.key.as_bytes())?)
 }
 
 fn instructions(folder: &Path) -> String {

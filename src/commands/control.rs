@@ -86,9 +86,7 @@ pub(super) fn address(of: &str) -> Option<&str> {
 pub(super) async fn operator(url: &str, learner: &LearnerArgument) -> anyhow::Result<Operator> {
     let tls = credentials(url, &learner.tls)?;
     // Plain text to another machine would show the token to the network.
-    let authority = url.split_once("://").map_or(url, |(_, rest)| rest);
-    let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
-    let is_private = tls.is_some() || addresses::is_loopback(host);
+    let is_private = tls.is_some() || addresses::is_loopback(addresses::host(url));
     let token = token_for_run(Path::new(&learner.of))?.filter(|_| is_private);
     Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), learner.timeout_secs).await?)
 }

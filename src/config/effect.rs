@@ -22,7 +22,7 @@ const LAYER_NORMS: Condition = Is("update.rule", &["happo", "mappo", "maddpg"]);
 const ESTIMATED: Condition = Is("influence.estimator", &["variational_kl", "count"]);
 const MLE: Condition = Is("influence.q_training", &["mle"]);
 
-/// Every setting that can be without an effect, and the conditions that must all hold for one.
+/// Every setting or section that can be without an effect, and the conditions that must all hold for one.
 const TABLE: &[(&[&str], &[Condition])] = &[
     (&["run.env_steps"], &[Zero("run.iterations")]),
     (&["task_file.text"], &[Not("task_file.model", "")]),
@@ -88,32 +88,8 @@ const TABLE: &[(&[&str], &[Condition])] = &[
         ],
         &[INFLUENCE, LEARNT, MLE, Environment(Several)],
     ),
-    (
-        &[
-            "maddpg.replay",
-            "maddpg.batch",
-            "maddpg.n_step",
-            "maddpg.warm_up",
-            "maddpg.updates_per_step",
-            "maddpg.noise",
-            "maddpg.polyak",
-        ],
-        &[MADDPG],
-    ),
-    (
-        &[
-            "hasac.replay",
-            "hasac.batch",
-            "hasac.n_step",
-            "hasac.warm_up",
-            "hasac.updates_per_step",
-            "hasac.policy_every",
-            "hasac.norm_momentum",
-            "hasac.initial_temperature",
-            "hasac.first_moment",
-        ],
-        &[HASAC],
-    ),
+    (&["maddpg."], &[MADDPG]),
+    (&["hasac."], &[HASAC]),
     (&["evaluation.episodes", "evaluation.sampled"], &[Above0("evaluation.every_steps")]),
 ];
 
@@ -122,7 +98,7 @@ const TABLE: &[(&[&str], &[Condition])] = &[
 fn lacking(run: &RunContext<'_>, key: &str) -> Vec<Condition> {
     let conditions = match keys::weighted_term(key) {
         Some(_) => Some(&[Environment(Robot)][..]),
-        None => TABLE.iter().find(|(keys, _)| keys.contains(&key)).map(|(_, needed)| *needed),
+        None => TABLE.iter().find(|(names, _)| keys::covers(names, key)).map(|(_, needed)| *needed),
     };
     let fails = |condition: &Condition| condition.holds(run) == Some(false);
     conditions.unwrap_or_default().iter().copied().filter(fails).collect()

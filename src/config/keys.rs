@@ -88,10 +88,14 @@ pub(crate) fn free_on_resume() -> String {
     named.collect::<Vec<_>>().join(", ")
 }
 
+/// Whether `names` contains the key or its section, which ends with a dot.
+pub(crate) fn covers(names: &[&str], key: &str) -> bool {
+    names.iter().any(|name| *name == key || (name.ends_with('.') && key.starts_with(name)))
+}
+
 /// Whether a key's value changes what a run computes.
 pub(crate) fn is_semantic(key: &str) -> bool {
-    !is_length(key)
-        && !OPERATIONAL.iter().any(|o| *o == key || (o.ends_with('.') && key.starts_with(o)))
+    !is_length(key) && !covers(OPERATIONAL, key)
 }
 
 /// Whether a key sets only the length of the run.

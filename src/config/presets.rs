@@ -40,21 +40,21 @@ pub(crate) const TASKS: &[Preset] = presets!(
     "carry-light-2x2", "carry-heavy-2x2",
 );
 
-/// Settings per algorithm.
+/// Settings per algorithm, in the order of their ranks: each algorithm has the same style in every picture.
 pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "algorithms":
     "happo-s2mia",
-    "happo-sm",
-    "happo-sm-encoder",
-    "happo-smh",
-    "happo-mi",
-    "happo-s2mia-exact",
-    "happo-shared",
-    "happo-0",
     "happo",
     "mappo",
     "maddpg",
+    "happo-sm",
+    "happo-smh",
+    "happo-mi",
+    "happo-0",
+    "happo-sm-encoder",
     "hasac",
+    "happo-s2mia-exact",
+    "happo-shared",
     "hasac-sm",
 );
 

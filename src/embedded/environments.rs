@@ -13,6 +13,7 @@ use sim::{Disturbances, EnvironmentBatch, ObservationNorm, Outcome, Pose, Robot,
 
 use super::agents;
 use crate::config::Request;
+use crate::config::keys;
 use crate::config::layers;
 use crate::config::message_steps::WINDOW;
 use crate::config::run_config::RunConfig;
@@ -299,13 +300,9 @@ fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
 }
 
 /// Refuses the first known setting that changes no environment.
-fn demand_effect<'a>(mut keys: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
-    let changes = |key: &str| {
-        EFFECTIVE.iter().any(|own| *own == key || (own.ends_with('.') && key.starts_with(own)))
-    };
-    let Some(key) = keys.find(|key| layers::default_of(key).is_ok() && !changes(key)) else {
-        return Ok(());
-    };
+fn demand_effect<'a>(mut given: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
+    let is_without = |key: &&str| layers::default_of(key).is_ok() && !keys::covers(&EFFECTIVE, key);
+    let Some(key) = given.find(is_without) else { return Ok(()) };
     let known = EFFECTIVE.join(", ").replace("reward.", "the weights of reward");
     let why = format!("settings: `{key}` has no effect on an environment; {known} have");
     Err(Usage::new(why).into())

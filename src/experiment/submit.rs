@@ -267,25 +267,13 @@ fn demand_known_in_pod(file: &ExperimentFile, run: &PlannedRun) -> Result<(), Us
         ));
     }
     let url = &run.config.environment.url;
-    if is_of_this_host(url) {
+    if addresses::is_loopback(addresses::host(url)) {
         return refused(format!(
             "{url} is the loopback address, which differs in a pod; set environments.{} to a host that pods reach",
             run.task
         ));
     }
     Ok(())
-}
-
-/// Whether only processes of this host reach the URL.
-fn is_of_this_host(url: &str) -> bool {
-    let Some((_, rest)) = url.split_once("://") else { return false };
-    let authority = rest.split(['/', '?', '#']).next().unwrap_or(rest);
-    let host = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
-    let host = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or(rest),
-        None => host.split(':').next().unwrap_or(host),
-    };
-    addresses::is_loopback(host)
 }
 
 /// The volume holds the paths that start in the working folder.

@@ -10,6 +10,7 @@ use policy::{Draw, Purpose};
 use serde_json::Value;
 
 use crate::config::keys::EVALUATED;
+use crate::config::presets::ALGORITHMS;
 use crate::errors::Usage;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
@@ -227,26 +228,9 @@ pub(crate) fn evaluations(metrics: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
 /// Runs that differ only in their seed, by task and by the name that distinguishes them from the task's other runs.
 type Groups<'a> = BTreeMap<(&'a str, String), Vec<&'a Curve>>;
 
-/// The shipped algorithms, in the order of their ranks: each has the same style in every picture.
-const ALGORITHMS: [&str; 13] = [
-    "happo-s2mia",
-    "happo",
-    "mappo",
-    "maddpg",
-    "happo-sm",
-    "happo-smh",
-    "happo-mi",
-    "happo-0",
-    "happo-sm-encoder",
-    "hasac",
-    "happo-s2mia-exact",
-    "happo-shared",
-    "hasac-sm",
-];
-
 /// Rank of the variant `name` among those of a picture: shipped algorithms have fixed ranks, others those that are left.
 fn rank(name: &str, names: &[&str]) -> usize {
-    let shipped = |name: &str| ALGORITHMS.iter().position(|known| *known == name);
+    let shipped = |name: &str| ALGORITHMS.iter().position(|known| known.name == name);
     let is_free = |rank: &usize| !names.iter().any(|name| shipped(name) == Some(*rank));
     let others = names.iter().filter(|other| shipped(other).is_none());
     let index = others.take_while(|other| **other != name).count();

@@ -122,12 +122,3 @@ fn a_full_disk_at_a_step_of_a_checkpoint_does_not_affect_training_and_it_is_retr
         assert!(folder.join("checkpoints/iter_00000003").is_dir(), "{step}");
     }
 }
-
-#[test]
-fn a_misspelt_fail_point_is_refused_with_the_list_of_points() {
-    let runs = Runs::new();
-    let mut run = tiny("train", &runs.folder("run"), &[]);
-    let ended = run.env("S2MIA_FAIL_AT", "mid-updates@1").output().unwrap();
-    let told = error(&ended);
-    assert!(!ended.status.success() && told.contains("mid-update, "), "{told}");
-}

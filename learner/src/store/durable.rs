@@ -64,7 +64,10 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 }
 
 /// As [`replace`], with a file that only its owner can read.
-pub(crate) fn replace_private(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+///
+/// # Errors
+/// As [`replace`].
+pub fn replace_private(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     replace_for(OWNER_ONLY, path, bytes)
 }
 
@@ -72,8 +75,11 @@ fn replace_for(mode: u32, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let name =
         path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let draft = path.with_file_name(format!("{DRAFT}{name}"));
-    write_for(mode, &draft, bytes)?;
-    std::fs::rename(&draft, path).map_err(FileError::of("replace", path))?;
+    let renamed = || std::fs::rename(&draft, path).map_err(FileError::of("replace", path));
+    write_for(mode, &draft, bytes).and_then(|()| renamed()).inspect_err(|_| {
+        // A part must not keep space on a full disk.
+        let _gone = std::fs::remove_file(&draft);
+    })?;
     sync_name(path)
 }
 
@@ -152,5 +158,19 @@ fn unless_absent(removed: io::Result<()>) -> io::Result<()> {
     match removed {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         removed => removed,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_cannot_be_replaced_leaves_no_draft() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = folder.path().join("taken");
+        std::fs::create_dir(&taken).unwrap();
+        assert!(replace(&taken, b"new").is_err());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

@@ -17,7 +17,6 @@ use crate::store::run_folder::{RunFolder, RunFolderError, START_POLICIES, demand
 use crate::train::assemble::problem;
 use crate::train::environments::Environments;
 use crate::train::evaluation::Evaluations;
-use crate::train::fail_points;
 use crate::train::provenance::Provenance;
 use crate::train::trainer::Trainer;
 
@@ -26,7 +25,6 @@ use crate::train::trainer::Trainer;
 /// # Errors
 /// Names a folder that is taken, in use or of another run, and a checkpoint that does not fit.
 pub fn prepare(launch: Launch) -> Result<(Trainer, RunDescription), LearnerError> {
-    fail_points::demand_known();
     launch.validate()?;
     let folder = claim(&launch)?;
     let resumed = newest(&launch, &folder)?;

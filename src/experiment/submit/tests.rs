@@ -83,15 +83,6 @@ fn a_pod_gets_no_setting_that_only_this_host_knows() {
     let line = refused("environments.ant-4x2 = \"http://localhost:7\"").unwrap();
     let words = "a.toml, variant happo on ant-4x2: http://localhost:7 is the loopback address";
     assert!(line.starts_with(words), "{line}");
-    for (url, own) in [
-        ("http://127.0.0.3:7", true),
-        ("https://[::1]:7/", true),
-        ("http://LOCALHOST", true),
-        ("http://10.0.0.1:7", false),
-        ("http://localhost.example:7", false),
-    ] {
-        assert_eq!(is_of_this_host(url), own, "{url}");
-    }
 }
 
 #[test]

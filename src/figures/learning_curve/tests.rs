@@ -108,13 +108,6 @@ fn a_variant_keeps_its_label_and_colour_in_every_panel() {
 }
 
 #[test]
-fn every_shipped_algorithm_has_a_rank() {
-    let shipped: BTreeSet<&str> =
-        crate::config::presets::ALGORITHMS.iter().map(|algorithm| algorithm.name).collect();
-    assert_eq!(BTreeSet::from(ALGORITHMS), shipped);
-}
-
-#[test]
 fn a_shipped_algorithm_is_drawn_alike_in_every_picture_and_no_two_variants_of_one_are() {
     let ranks = |names: &[&str]| {
         let curves: Vec<Curve> = names.iter().map(|name| curve(name, 1, &[(0.0, 1.0)])).collect();

@@ -24,19 +24,6 @@ pub enum Step {
     RemoveOld,
 }
 
-impl Step {
-    /// All of them, in order.
-    pub const ALL: [Self; 7] = [
-        Self::MakeFolder,
-        Self::WriteFile,
-        Self::FlushFiles,
-        Self::Rename,
-        Self::FlushName,
-        Self::NameLatest,
-        Self::RemoveOld,
-    ];
-}
-
 /// Called before each step with its file or folder; an error ends the attempt like one of the disk.
 pub type Before<'a> = dyn FnMut(Step, &Path) -> io::Result<()> + 'a;
 
