@@ -74,10 +74,11 @@ fn flops(settings: &CaseSettings, problem: &Problem, rows: usize) -> f64 {
         .flops(rows, 1, training.critic.epochs);
     for agent in &problem.agents {
         let features = if gru { policy.hidden } else { policy.width };
-        let trunk = match gru {
-            true => network(&[agent.observation], policy.encoder, 1)
-                .and(3 * policy.hidden * (policy.encoder + policy.hidden)),
-            false => network(&[agent.observation], policy.width, policy.layers),
+        let trunk = if gru {
+            network(&[agent.observation], policy.encoder, 1)
+                .and(3 * policy.hidden * (policy.encoder + policy.hidden))
+        } else {
+            network(&[agent.observation], policy.width, policy.layers)
         };
         // Once before and once after the policy's update.
         total += trunk.and(features * agent.action).flops(rows, 2, training.update.epochs);

@@ -76,9 +76,8 @@ fn enumerate(slip: f64) -> (f64, f64) {
             let mut joint = [[0.0; CUES]; CUES];
             for (a, row) in joint.iter_mut().enumerate() {
                 for (b, cell) in row.iter_mut().enumerate() {
-                    let chance = |choice, agent| match choice == cue_of(&*game, 0, agent) {
-                        true => 1.0 - 2.0 * slip,
-                        false => slip,
+                    let chance = |choice, agent| {
+                        if choice == cue_of(&*game, 0, agent) { 1.0 - 2.0 * slip } else { slip }
                     };
                     *cell = chance(a, 0) * chance(b, 1);
                     mixed[a][b] += *cell / CUES as f64;

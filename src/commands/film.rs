@@ -152,9 +152,10 @@ fn is_on_path(program: &str) -> bool {
 /// The times that the film shows, of a robot with steps of `dt_secs`.
 fn times_shown(frames: &[TimedPose<'_>], every_secs: f64, dt_secs: f64) -> String {
     let steps = every_secs / dt_secs;
-    let nearest = match (steps - steps.round()).abs() > 1e-6 {
-        true => format!(", each of the nearest step of {dt_secs} s"),
-        false => String::new(),
+    let nearest = if (steps - steps.round()).abs() > 1e-6 {
+        format!(", each of the nearest step of {dt_secs} s")
+    } else {
+        String::new()
     };
     let first = frames[0].time_secs;
     let last = frames[frames.len() - 1].time_secs;

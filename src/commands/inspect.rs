@@ -61,9 +61,10 @@ fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
     let is_start = key == keys::START;
     let matters =
         is_start || keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
-    let effect = match matters {
-        true => "part of config_sha256: another value is another run",
-        false => "affects no result of the steps that are trained",
+    let effect = if matters {
+        "part of config_sha256: another value is another run"
+    } else {
+        "affects no result of the steps that are trained"
     };
     let lines = [
         format!("{key} = {value}"),

@@ -39,10 +39,7 @@ pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
             let log = verify(path, &bytes, &progress)?;
             cut_off += log.torn_steps;
             lost += log.lost_shares();
-            match arguments.replay {
-                true => replay(path, &bytes, (done, all), &progress),
-                false => Ok(()),
-            }
+            if arguments.replay { replay(path, &bytes, (done, all), &progress) } else { Ok(()) }
         });
         failures.extend(checked.err());
         done += size(path);

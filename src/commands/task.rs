@@ -232,9 +232,10 @@ fn motor(actuator: &Actuator<'_>, newtons: &str) -> String {
         Torque::Servo(None) => "servo".to_owned(),
     };
     let [low, high] = actuator.control;
-    let name = match actuator.name == actuator.joint {
-        true => String::new(),
-        false => format!(" ({})", actuator.name),
+    let name = if actuator.name == actuator.joint {
+        String::new()
+    } else {
+        format!(" ({})", actuator.name)
     };
     format!("{kind}, control {low} to {high}{name}")
 }

@@ -112,9 +112,12 @@ fn listed(conditions: &[Condition]) -> String {
 /// The first setting that is not as needed, with its value and origin.
 fn instead(lacking: &[Condition], resolved: &Resolved) -> String {
     let first = lacking.iter().find_map(|condition| condition.setting());
-    let shown = |key| match resolved.entries.contains_key(key) {
-        true => format!(", and {key} is {} ({})", resolved.plain(key), resolved.origin(key)),
-        false => format!(", and {key} is not given"),
+    let shown = |key| {
+        if resolved.entries.contains_key(key) {
+            format!(", and {key} is {} ({})", resolved.plain(key), resolved.origin(key))
+        } else {
+            format!(", and {key} is not given")
+        }
     };
     first.map_or_else(String::new, shown)
 }

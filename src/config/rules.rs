@@ -136,9 +136,10 @@ pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let conditions = [rule.refused].into_iter().chain(rule.with.iter().copied());
     let keys: Vec<&str> = conditions.filter_map(Condition::setting).collect();
     let key = keys[0];
-    let found = match run.resolved.entries.contains_key(key) {
-        true => format!("{key} = {} is out of range", run.resolved.plain(key)),
-        false => format!("{key} is not given"),
+    let found = if run.resolved.entries.contains_key(key) {
+        format!("{key} = {} is out of range", run.resolved.plain(key))
+    } else {
+        format!("{key} is not given")
     };
     let detail = format!("{found}: {}", rule.allowed);
     Err(ConfigError::refused(run.resolved, &keys, &detail))

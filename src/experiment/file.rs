@@ -142,9 +142,12 @@ impl ExperimentFile {
         if !self.record.as_os_str().is_empty() {
             self.record = found(&self.record)?;
         }
-        let found_task = |task: &str| match OwnTask::is_path(task) {
-            true => found(Path::new(task)).map(|path| path.to_string_lossy().into_owned()),
-            false => Ok(task.to_owned()),
+        let found_task = |task: &str| {
+            if OwnTask::is_path(task) {
+                found(Path::new(task)).map(|path| path.to_string_lossy().into_owned())
+            } else {
+                Ok(task.to_owned())
+            }
         };
         let of_variants = self.variants.iter_mut().filter_map(|variant| variant.tasks.as_mut());
         for task in of_variants.chain([&mut self.tasks]).flatten() {

@@ -187,11 +187,12 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
         )
     };
     let missing = comparisons.iter().any(|comparison| shown(comparison.score, 3) == "-");
-    let why = match missing {
-        true => format!(
+    let why = if missing {
+        format!(
             "\nNo score (-): on some task {baseline}'s {measure} is not above 0, in the runs or in some resamples.\n"
-        ),
-        false => String::new(),
+        )
+    } else {
+        String::new()
     };
     format!(
         "\nOver all tasks, by {measure}: scores are in units of {baseline}'s {measure} on the task; \

@@ -164,10 +164,7 @@ fn found(named: &str) -> anyhow::Result<Found> {
 /// The settings of the run that keeps these policies as those from which it started, or in a checkpoint; `None` for another file.
 fn config_beside(file: &Path) -> Option<RunConfig> {
     let folder = file.parent()?;
-    let run = match file.ends_with(START_POLICIES) {
-        true => folder,
-        false => folder.parent()?.parent()?,
-    };
+    let run = if file.ends_with(START_POLICIES) { folder } else { folder.parent()?.parent()? };
     let is_kept =
         file.ends_with(START_POLICIES) || folder.parent() == Some(&*checkpoint::folder(run));
     is_kept.then(|| stored::config_of_run(run).ok()).flatten()

@@ -14,10 +14,11 @@ pub(crate) fn run<O: Operation>(operation: O) -> O::Output {
     #[cfg(target_arch = "x86_64")]
     {
         let fma = std::arch::is_x86_feature_detected!("fma");
-        match fma {
+        if fma {
             // SAFETY: the processor has FMA.
-            true => unsafe { with_fma(operation) },
-            false => operation.run(Scalar { fma }),
+            unsafe { with_fma(operation) }
+        } else {
+            operation.run(Scalar { fma })
         }
     }
     #[cfg(not(target_arch = "x86_64"))]

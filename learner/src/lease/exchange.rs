@@ -355,10 +355,11 @@ impl Exchange {
         // The log may be slow, and no other task waits for that.
         drop(shared);
         let has_ended = self.snapshot.borrow().has_ended();
-        match has_ended {
+        if has_ended {
             // Connections close under actors that still work, and nothing is lost.
-            true => notices.iter().for_each(|notice| tracing::debug!("{notice:?}")),
-            false => notices.iter().for_each(Notice::log),
+            notices.iter().for_each(|notice| tracing::debug!("{notice:?}"));
+        } else {
+            notices.iter().for_each(Notice::log);
         }
         result
     }

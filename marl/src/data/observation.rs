@@ -47,9 +47,10 @@ impl ObservationMoments {
         let is_running = !self.agents.is_empty();
         let scaled = |policy: &ActorPolicy| policy.standardisation().is_some();
         if start.agents.iter().any(|policy| scaled(policy) != is_running) {
-            let [theirs, own] = match is_running {
-                true => ["no running statistics", "them"],
-                false => ["running statistics", "none"],
+            let [theirs, own] = if is_running {
+                ["no running statistics", "them"]
+            } else {
+                ["running statistics", "none"]
             };
             return Err(MarlError::Start(format!(
                 "the policies have {theirs} of observations, the run needs {own} (observation.norm)"

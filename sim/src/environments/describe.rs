@@ -23,9 +23,8 @@ pub(super) fn describe(
     };
     let driven: Vec<Vec<&str>> = task.agents.iter().map(moved).collect();
     let observation = Observation::new(config, robot, &driven, &state);
-    let seen = |index: usize| match task.rules.disturbance.change_sensors() {
-        true => Vec::new(),
-        false => observation.seen(index),
+    let seen = |index: usize| {
+        if task.rules.disturbance.change_sensors() { Vec::new() } else { observation.seen(index) }
     };
     let agents = task.agents.iter().enumerate().map(|(index, motors)| AgentSpec {
         name: format!("agent_{index}"),

@@ -211,11 +211,12 @@ fn read_stl(bytes: &[u8]) -> Result<Mesh, String> {
     let (needed, has) =
         (count.saturating_mul(STL_TRIANGLE_BYTES).saturating_add(STL_HEADER_BYTES), bytes.len());
     if needed != has {
-        return Err(match bytes.starts_with(b"solid") {
-            true => "it is an ASCII STL file; save it as a binary one".to_owned(),
-            false => format!(
+        return Err(if bytes.starts_with(b"solid") {
+            "it is an ASCII STL file; save it as a binary one".to_owned()
+        } else {
+            format!(
                 "it is not a binary STL file: {count} triangles need {needed} bytes, it has {has}"
-            ),
+            )
         });
     }
     let number = |at: &[u8]| f64::from(f32::from_le_bytes([at[0], at[1], at[2], at[3]]));

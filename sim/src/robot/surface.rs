@@ -131,9 +131,12 @@ impl Surface {
             if self.mix + other.mix > 0.0 { self.mix / (self.mix + other.mix) } else { 0.5 };
         let mean = |a: f64, b: f64| if a == b { a } else { share * a + (1.0 - share) * b };
         let timed = self.solref[0] > 0.0 && other.solref[0] > 0.0;
-        let reference = |i: usize| match timed {
-            true => mean(self.solref[i], other.solref[i]),
-            false => self.solref[i].min(other.solref[i]),
+        let reference = |i: usize| {
+            if timed {
+                mean(self.solref[i], other.solref[i])
+            } else {
+                self.solref[i].min(other.solref[i])
+            }
         };
         Self {
             friction: [0, 1, 2].map(|i| self.friction[i].max(other.friction[i])),

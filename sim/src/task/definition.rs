@@ -317,9 +317,10 @@ pub(super) fn refused(why: impl Into<String>) -> SimError {
 
 /// Refuses a list with an entry twice.
 pub(super) fn check_repeats<T: PartialEq>(key: &str, list: &[T]) -> Result<(), SimError> {
-    match (1..list.len()).any(|index| list[..index].contains(&list[index])) {
-        true => Err(refused(format!("{key} names an entry twice; remove one"))),
-        false => Ok(()),
+    if (1..list.len()).any(|index| list[..index].contains(&list[index])) {
+        Err(refused(format!("{key} names an entry twice; remove one")))
+    } else {
+        Ok(())
     }
 }
 

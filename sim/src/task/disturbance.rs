@@ -305,9 +305,10 @@ fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, Si
 }
 
 fn check_rows(place: &str, count: usize) -> Result<(), SimError> {
-    match count > MOST_ROWS {
-        true => Err(refused(format!("{place} has {count} rows; at most {MOST_ROWS} are allowed"))),
-        false => Ok(()),
+    if count > MOST_ROWS {
+        Err(refused(format!("{place} has {count} rows; at most {MOST_ROWS} are allowed")))
+    } else {
+        Ok(())
     }
 }
 

@@ -229,10 +229,11 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
         for first in robot.layout.quaternions() {
             let quaternion = &mut positions[first..first + 4];
             let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
-            match length > 0.0 {
-                true => quaternion.iter_mut().for_each(|q| *q /= length),
+            if length > 0.0 {
+                quaternion.iter_mut().for_each(|q| *q /= length);
+            } else {
                 // As in MuJoCo.
-                false => quaternion.copy_from_slice(&[1.0, 0.0, 0.0, 0.0]),
+                quaternion.copy_from_slice(&[1.0, 0.0, 0.0, 0.0])
             }
         }
     }
@@ -266,9 +267,10 @@ fn check_coordinate(
     }
     let [at, lowest, highest] = [value, low, high].map(|number| short(number + offset));
     let noise = if reach > 0.0 { format!(" ± {}", short(reach)) } else { String::new() };
-    let remedy = match reach > 0.0 && is_inside(0.0) {
-        true => "lower its noise in start.positions or start.noise",
-        false => "change it by start.coordinates",
+    let remedy = if reach > 0.0 && is_inside(0.0) {
+        "lower its noise in start.positions or start.noise"
+    } else {
+        "change it by start.coordinates"
     };
     let bounds = format!("{lowest}..={highest} (a joint's limits, 3 rad or m wider)");
     Err(refused(format!("{place} starts at {at}{noise}, outside {bounds}; {remedy}")))

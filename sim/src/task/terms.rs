@@ -308,11 +308,12 @@ fn root_along_x(place: &str, robot: &Robot) -> Result<usize, SimError> {
         JointPlan::Fixed | JointPlan::Ball(_) => false,
         JointPlan::Free(_) | JointPlan::Floating(_) => true,
     };
-    match is_along_x {
-        true => Ok(robot.layout.root_joint().coordinate),
-        false => Err(refused(format!(
+    if is_along_x {
+        Ok(robot.layout.root_joint().coordinate)
+    } else {
+        Err(refused(format!(
             "{place}: the first coordinate of the root is not its x; name a `coordinate`"
-        ))),
+        )))
     }
 }
 

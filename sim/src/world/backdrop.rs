@@ -94,20 +94,21 @@ fn bar(shape: &Shape, pose: &Pose) -> Capsule {
 fn crest(field: &HeightField, pose: &Pose) -> Vec<Capsule> {
     let runs_along_x = (pose.rotation * Vector::X).x.abs() >= (pose.rotation * Vector::Y).x.abs();
     let (rows, columns) = (field.rows(), field.columns);
-    let points = match runs_along_x {
-        true => sampled(columns)
+    let points = if runs_along_x {
+        sampled(columns)
             .map(|column| {
                 let highest = (0..rows).map(|row| field.point(row, column).z).fold(0.0, f32::max);
                 field.point(0, column).with_y(0.0).with_z(highest - LINE)
             })
-            .collect::<Vec<_>>(),
-        false => sampled(rows)
+            .collect::<Vec<_>>()
+    } else {
+        sampled(rows)
             .map(|row| {
                 let highest =
                     (0..columns).map(|column| field.point(row, column).z).fold(0.0, f32::max);
                 field.point(row, 0).with_x(0.0).with_z(highest - LINE)
             })
-            .collect(),
+            .collect()
     };
     line(&points, pose)
 }

@@ -96,10 +96,7 @@ impl Motor {
     fn input(&mut self, step_secs: f32) -> f32 {
         let Some(own) = &self.plan.activation else { return self.control };
         self.rate = own.rate(self.activation, self.control);
-        match own.is_early {
-            true => own.next(self.activation, self.rate, step_secs),
-            false => self.activation,
-        }
+        if own.is_early { own.next(self.activation, self.rate, step_secs) } else { self.activation }
     }
 }
 

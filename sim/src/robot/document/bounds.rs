@@ -57,9 +57,10 @@ pub(in crate::robot) fn refusal(attribute: &str, number: f64) -> Option<String> 
     if (*low..=*high).contains(&number) && !is_small {
         return None;
     }
-    let least = match is_small {
-        false => String::new(),
-        true => format!(" and be 0 or at least {} from it", short(*smallest)),
+    let least = if is_small {
+        format!(" and be 0 or at least {} from it", short(*smallest))
+    } else {
+        String::new()
     };
     let [low, high, number] = [*low, *high, number].map(short);
     Some(format!("must lie in {low}..={high}{unit}{least}, is {number}"))

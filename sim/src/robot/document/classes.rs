@@ -156,12 +156,10 @@ fn with_inherited_range(law: &Element, before: Option<&Rc<Element>>) -> Element 
 
 fn check_size(child: &Element, merged: &Element) -> Result<(), String> {
     let sizes = merged.attributes.iter().map(|(name, value)| name.len() + value.len());
-    match sizes.sum::<usize>() > MOST_BYTES {
-        false => Ok(()),
-        true => {
-            Err(child
-                .refuse(format!("its attributes have more than {MOST_BYTES} bytes; shorten them")))
-        }
+    if sizes.sum::<usize>() <= MOST_BYTES {
+        Ok(())
+    } else {
+        Err(child.refuse(format!("its attributes have more than {MOST_BYTES} bytes; shorten them")))
     }
 }
 

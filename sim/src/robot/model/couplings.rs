@@ -299,9 +299,10 @@ fn equality(
         }
     };
     element.only(&[&EQUALITY])?;
-    let (kind, known): (_, Vec<&str>) = match is_joint {
-        true => ("hinge or slide", joints::names(&joints::hinges(links)).collect()),
-        false => ("fixed tendon", tendons.iter().map(|tendon| tendon.name.as_str()).collect()),
+    let (kind, known): (_, Vec<&str>) = if is_joint {
+        ("hinge or slide", joints::names(&joints::hinges(links)).collect())
+    } else {
+        ("fixed tendon", tendons.iter().map(|tendon| tendon.name.as_str()).collect())
     };
     let side = |attribute: &str| {
         let index = context.index(element, attribute, (kind, known.iter().copied()))?;

@@ -208,12 +208,13 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         return Err(joint.refuse_for("axis", "`axis` has no direction; set one, such as 0 0 1"));
     }
     let anchor = joint.numbers("pos")?.unwrap_or([0.0; 3]);
-    let (anchor, axis) = match *frame == IDENTITY {
-        true => (anchor, axis),
-        false => (
+    let (anchor, axis) = if *frame == IDENTITY {
+        (anchor, axis)
+    } else {
+        (
             frame.then(&Frame { position: anchor, ..IDENTITY }).position,
             rotated(frame.rotation, axis),
-        ),
+        )
     };
     let range = context.limits(joint, |end| (angle(end) - reference) as f32)?;
     let margin = if range.is_some() { number(joint, "margin")? } else { 0.0 };

@@ -85,9 +85,10 @@ fn moves_along_x_alone(robot: &Robot, link: usize) -> bool {
 
 /// Horizontal axes of the world along which the tree of a link can move.
 pub(super) fn horizontal(robot: &Robot, link: usize) -> Vec<WorldAxis> {
-    match moves_along_x_alone(robot, link) {
-        true => vec![WorldAxis::X],
-        false => vec![WorldAxis::X, WorldAxis::Y],
+    if moves_along_x_alone(robot, link) {
+        vec![WorldAxis::X]
+    } else {
+        vec![WorldAxis::X, WorldAxis::Y]
     }
 }
 

@@ -68,9 +68,10 @@ impl Near {
         };
         let axes = [Vector::X, Vector::Y, Vector::Z].map(|axis| pose.rotation * axis);
         let is_plane = matches!(bounds, Bounds::Plane);
-        let extent = match is_plane {
-            true => Vector::splat(f32::INFINITY),
-            false => axes[0].abs() * half.x + axes[1].abs() * half.y + axes[2].abs() * half.z,
+        let extent = if is_plane {
+            Vector::splat(f32::INFINITY)
+        } else {
+            axes[0].abs() * half.x + axes[1].abs() * half.y + axes[2].abs() * half.z
         };
         let centre = pose.translation;
         let (low, high) = (centre - extent, centre + extent);

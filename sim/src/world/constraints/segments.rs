@@ -28,9 +28,10 @@ pub(super) fn nearest(one: &Segment, other: &Segment) -> [Vector; 2] {
     let on_first = |t: f64| fraction(along * t - sides[0], squares[0]);
     let on_second = |s: f64| fraction(along * s + sides[1], squares[1]);
     let across = squares[0] * squares[1] - along * along;
-    let crossing = match across > PARALLEL * squares[0] * squares[1] {
-        true => fraction(along * sides[1] - sides[0] * squares[1], across),
-        false => 0.0,
+    let crossing = if across > PARALLEL * squares[0] * squares[1] {
+        fraction(along * sides[1] - sides[0] * squares[1], across)
+    } else {
+        0.0
     };
     let t = on_second(crossing);
     let s = on_first(t);
