@@ -180,14 +180,13 @@ fn has_bands(series: &Series) -> bool {
     series.runs > 1
 }
 
-/// The simulator's name stands before the task, since returns are its own.
 fn layout(panel: &Panel, plots: &[Plot]) -> Layout {
     let axes = Layout::auto_from_plots(plots);
     let axes = match axes.data_y_range {
         Some((lowest, _)) if lowest.is_finite() => axes.with_y_axis_min(lowest),
         _ => Layout::new((0.0, 1.0), (0.0, 1.0)),
     };
-    axes.with_title(format!("rapier/{}", panel.task))
+    axes.with_title(panel.task.clone())
         .with_x_label("environment steps")
         .with_y_label(panel.quantity.label())
         .with_y_tick_format(panel.quantity.tick_format())
@@ -271,7 +270,7 @@ mod tests {
         assert!(picture.svg.starts_with("<svg") && picture.png.starts_with(b"\x89PNG"));
         assert!(picture.svg.contains(&colour(0)) && picture.svg.contains(&colour(1)));
         assert_eq!(picture.svg.matches("happo (3 seeds)").count(), 1);
-        for words in ["rapier/one", "rapier/two", "evaluation return", "surprise, nats"] {
+        for words in ["one", "two", "evaluation return", "surprise, nats"] {
             assert!(picture.svg.contains(words), "{words}");
         }
         assert!(draw(&[empty()], 1).is_ok());

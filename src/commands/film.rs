@@ -195,10 +195,10 @@ fn steps(arguments: &FilmArguments, dt_secs: f64, length: usize) -> Result<Vec<u
             "--every-secs {asked} does not fit: the shortest interval is one step, {dt_secs} s"
         )));
     }
-    let frames = frames(arguments, length as f64 / every);
+    let asked = arguments.from_secs.map(|from| from / dt_secs);
+    let frames = frames(arguments, (length as f64 - asked.unwrap_or(0.0)).max(0.0) / every);
     let span = f64::from(frames - 1) * every;
-    let from =
-        arguments.from_secs.map_or(usual_start(dt_secs, length, span), |from| from / dt_secs);
+    let from = asked.unwrap_or_else(|| usual_start(dt_secs, length, span));
     let last = from + span;
     if !(from >= 0.0 && last.round() <= length as f64) {
         let end = length as f64 * dt_secs;
@@ -260,6 +260,9 @@ mod tests {
             let found = steps(&arguments, 0.05, length).unwrap();
             assert_eq!(found, expected, "{frames} frames, every {every_secs} s, of {length}");
         }
+        // By default as many as fit after the first one.
+        let late = FilmArguments { frames: None, ..arguments(0, Some(49.9), 0.05) };
+        assert_eq!(steps(&late, 0.05, 1000).unwrap(), [998, 999, 1000]);
         // 0.05 s is 6.25 steps of 8 ms.
         assert_eq!(steps(&arguments(3, Some(0.0), 0.05), 0.008, 1000).unwrap(), [0, 6, 13]);
     }

@@ -2,6 +2,7 @@
 //! A run in the record is not run again.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::io::ErrorKind;
 use std::path::Path;
 use std::str::FromStr;
@@ -204,12 +205,23 @@ impl Record {
         Ok(())
     }
 
-    /// Replaces the file atomically; runs are ordered by task, variant and seed.
+    /// Adds its runs to the file, which is replaced atomically; runs are ordered by task, variant and seed. Other
+    /// experiments with this record wait meanwhile, so that none loses the runs of another.
     ///
     /// # Errors
-    /// Names the file if it cannot be written.
-    pub(crate) fn write(&self, path: &Path) -> anyhow::Result<()> {
-        place(path)?.write(self.text().as_bytes())
+    /// Names the file if it cannot be read or written.
+    pub(crate) fn add_to(self, path: &Path) -> anyhow::Result<()> {
+        if self.0.is_empty() {
+            return Ok(());
+        }
+        let target = place(path)?;
+        let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let folder = File::open(folder.unwrap_or(Path::new(".")))?;
+        // Where a file system has no locks, the experiments are on their own.
+        let _locked = folder.lock();
+        let mut all = Self::read(path)?;
+        all.0.extend(self.0);
+        target.write(all.text().as_bytes())
     }
 
     fn text(&self) -> String {
@@ -344,6 +356,10 @@ fn settings_sha256(config: &RunConfig) -> String {
 fn sha256_with(config: &RunConfig, every_steps: &str) -> String {
     let settings = &config.resolved;
     let mut hasher = Sha256::new_with_prefix(settings.sha256());
+    // The URL is not among those settings, but an external environment is not the simulator's of the same name.
+    if !config.environment.url.is_empty() {
+        hasher.update("external environment\n");
+    }
     hasher.update(format!("{EVERY_STEPS} = {every_steps}\n"));
     for key in EVALUATED {
         if key != SAMPLED || config.learner.evaluation.sampled {

@@ -1,6 +1,6 @@
 //! An experiment's table, as Markdown, and its figures.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::PlannedRun;
@@ -40,13 +40,15 @@ struct Started {
     curves: Vec<Curve>,
     /// Indices of the finished ones.
     finished: Vec<usize>,
+    /// The finished ones that the record does not hold yet.
+    new: Record,
     damaged: Vec<String>,
 }
 
 /// Writes `results.md` if a run is finished, and the figures of the runs that exist.
 pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Report> {
     target::folder(&file.folder)?;
-    let Started { mut curves, finished, damaged } = started(file, runs)?;
+    let Started { curves, finished, new, damaged } = started(file, runs)?;
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
     let rows = rows(&measured, &variants, &file.baseline, file.threshold);
@@ -63,18 +65,30 @@ pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Resul
     } else if path.exists() {
         tracing::warn!("{} is of an earlier report: now no run is finished", path.display());
     }
-    curves.retain(|curve| !curve.of(Quantity::Return).is_empty());
-    if !curves.is_empty() {
-        written.extend(figures::write_learning_curve(&file.folder, &curves)?);
-        written.extend(figures::write_ablation(&file.folder, &curves)?);
+    new.add_to(&file.record)?;
+    let shown = shown_curves(curves, &finished);
+    if !shown.is_empty() {
+        written.extend(figures::write_learning_curve(&file.folder, &shown)?);
+        written.extend(figures::write_ablation(&file.folder, &shown)?);
     }
     Ok(Report { table, written, damaged })
+}
+
+/// The curves for the figures: of each variant on each task its finished runs, or the others if none is finished. An
+/// unfinished run would end the curve of all where it stands.
+fn shown_curves(curves: Vec<Curve>, finished: &[usize]) -> Vec<Curve> {
+    let name = |curve: &Curve| (curve.task.clone(), curve.algorithm.clone());
+    let whole: BTreeSet<_> = finished.iter().map(|&index| name(&curves[index])).collect();
+    let all = curves.into_iter().enumerate();
+    let shown =
+        all.filter(|(index, curve)| finished.contains(index) || !whole.contains(&name(curve)));
+    let shown = shown.map(|(_, curve)| curve);
+    shown.filter(|curve| !curve.of(Quantity::Return).is_empty()).collect()
 }
 
 /// The curves of all started runs. Only finished runs are compared and added to the experiment's record.
 fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started> {
     let recorded = Record::read(&file.record)?;
-    let mut record = recorded.clone();
     let kept = !file.record.as_os_str().is_empty();
     let mut started = Started::default();
     for run in runs {
@@ -86,7 +100,7 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
             None if !is_there(run) => continue,
-            None => match of_folder(run, may_add.then_some(&mut record)) {
+            None => match of_folder(run, may_add.then_some(&mut started.new)) {
                 Ok((curve, done)) if kept => (at_evaluations(curve), done),
                 Ok(own) => own,
                 Err(why) => {
@@ -106,9 +120,6 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
         };
         started.finished.extend(done.then_some(started.curves.len()));
         started.curves.push(curve);
-    }
-    if record != recorded {
-        record.write(&file.record)?;
     }
     Ok(started)
 }
@@ -152,7 +163,7 @@ fn markdown(
     for row in rows {
         let improvement = row.improvement.map_or_else(
             || "- | -".to_owned(),
-            |found| format!("{} | {:.3}", shown(found.probability, 2), found.p_value),
+            |found| format!("{} | {}", shown(found.probability, 2), shown_p(found.p_value)),
         );
         text += &format!(
             "| {} | {} | {} | {} | {} | {} ({}/{}) | {improvement} |\n",
@@ -176,14 +187,14 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
     }
     let line = |comparison: &Comparison| {
         format!(
-            "| {} | {} | {} | {} | {} | {:.3} | {:.3} |\n",
+            "| {} | {} | {} | {} | {} | {} | {} |\n",
             comparison.variant,
             comparison.tasks,
             comparison.runs,
             shown(comparison.score, 3),
             shown(comparison.improvement, 2),
-            comparison.p_value,
-            comparison.adjusted_p_value,
+            shown_p(comparison.p_value),
+            shown_p(comparison.adjusted_p_value),
         )
     };
     let missing = comparisons.iter().any(|comparison| shown(comparison.score, 3) == "-");
@@ -203,13 +214,22 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
     )
 }
 
-/// `86 (20 to 100)`, or `-` for a missing value and for one that some resamples lack: a score whose unit may be 0.
+/// `86 (20 to 100)`, without an interval if that is the value itself, as of a single run; `-` for a missing value and for one
+/// that some resamples lack: a score whose unit may be 0.
 fn shown(estimate: Estimate, decimals: usize) -> String {
     let Estimate { value, interval } = estimate;
     if value.is_nan() || interval.high.is_nan() {
         return "-".to_owned();
     }
+    if interval.low == interval.high {
+        return format!("{value:.decimals$}");
+    }
     format!("{value:.decimals$} ({:.decimals$} to {:.decimals$})", interval.low, interval.high)
+}
+
+/// With three decimals. The least p-value of a permutation test is not 0.
+fn shown_p(p_value: f64) -> String {
+    if p_value < 0.0005 { "<0.001".to_owned() } else { format!("{p_value:.3}") }
 }
 
 #[cfg(test)]
@@ -239,6 +259,28 @@ mod tests {
     fn a_figure_that_some_resamples_lack_is_not_shown() {
         let interval = Interval { low: 2.0, high: f64::NAN };
         assert_eq!(shown(Estimate { value: 3.0, interval }, 2), "-");
+    }
+
+    #[test]
+    fn a_single_run_has_no_interval_and_no_p_value_is_0() {
+        let interval = Interval { low: 3.0, high: 3.0 };
+        assert_eq!(shown(Estimate { value: 3.0, interval }, 1), "3.0");
+        assert_eq!([0.0001, 0.0005, 0.25].map(shown_p), ["<0.001", "0.001", "0.250"]);
+    }
+
+    #[test]
+    fn figures_show_unfinished_runs_only_of_variants_without_a_finished_one() {
+        let curve = |algorithm: &str, seed: &str| Curve {
+            task: "ant-4x2".into(),
+            algorithm: algorithm.into(),
+            seed: seed.into(),
+            settings: BTreeMap::new(),
+            points: BTreeMap::from([(Quantity::Return, vec![(0.0, 1.0)])]),
+        };
+        let all = vec![curve("near", "0"), curve("near", "1"), curve("far", "0")];
+        let shown = shown_curves(all, &[0]);
+        let shown: Vec<_> = shown.iter().map(|c| (c.algorithm.as_str(), c.seed.as_str())).collect();
+        assert_eq!(shown, [("near", "0"), ("far", "0")]);
     }
 
     #[test]

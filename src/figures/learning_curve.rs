@@ -64,9 +64,14 @@ impl Quantity {
         let point = |line: &Value| Some((line["env_steps"].as_f64()?, value(line)?));
         let mut points: Vec<(f64, f64)> = lines.iter().filter_map(point).collect();
         points.sort_by(|left, right| left.0.total_cmp(&right.0));
+        points
+    }
+
+    /// The number of neighbouring points of `count` that are averaged for a picture. Returns are few.
+    fn averaged(self, count: usize) -> usize {
         match self {
-            Self::Return => points,
-            Self::Surprise | Self::Information => thinned(&points),
+            Self::Return => 1,
+            Self::Surprise | Self::Information => count.div_ceil(MOST_POINTS).max(1),
         }
     }
 }
@@ -76,15 +81,6 @@ fn mean_over_agents(line: &Value, name: &str) -> Option<f64> {
     let of = |agent: usize| line.get(format!("agent{agent}/{name}"))?.as_f64();
     let values: Vec<f64> = (0..).map_while(of).collect();
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
-/// Means of equally many neighbours, so that at most `MOST_POINTS` remain.
-fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let together = points.len().div_ceil(MOST_POINTS).max(1);
-    let mean = |part: &[(f64, f64)], of: fn(&(f64, f64)) -> f64| {
-        part.iter().map(of).sum::<f64>() / part.len() as f64
-    };
-    points.chunks(together).map(|part| (mean(part, |p| p.0), mean(part, |p| p.1))).collect()
 }
 
 /// Settings that pictures show separately.
@@ -324,16 +320,36 @@ fn labels(groups: &Groups<'_>) -> BTreeMap<String, String> {
     names.into_iter().map(|name| (name.clone(), label(name))).collect()
 }
 
-/// The points of a group's runs where every run has a value.
+/// The points of a group at the environment steps of any of its runs, from their latest start to their earliest end; between its
+/// own points, a run has the value of a straight line.
 fn joined(group: &[&Curve], quantity: Quantity) -> Vec<Point> {
-    let at = |curve: &Curve, env_steps: f64| {
-        curve.of(quantity).iter().find(|point| point.0 == env_steps).map(|point| point.1)
+    let runs: Vec<&[(f64, f64)]> = group.iter().map(|curve| curve.of(quantity)).collect();
+    let ends = |run: &&[(f64, f64)]| Some((run.first()?.0, run.last()?.0));
+    let Some(ends) = runs.iter().map(ends).collect::<Option<Vec<_>>>() else { return Vec::new() };
+    let start = ends.iter().fold(f64::NEG_INFINITY, |start, end| start.max(end.0));
+    let end = ends.iter().fold(f64::INFINITY, |end, other| end.min(other.1));
+    let all = runs.iter().flat_map(|run| run.iter().map(|point| point.0));
+    let mut steps: Vec<f64> = all.filter(|steps| (start..=end).contains(steps)).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.dedup();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let point = |part: &[f64]| {
+        let of = |run: &&[(f64, f64)]| {
+            mean(&part.iter().map(|steps| interpolated(run, *steps)).collect::<Vec<_>>())
+        };
+        point(mean(part), &runs.iter().map(of).collect::<Vec<_>>())
     };
-    let together = |env_steps: f64| -> Option<Point> {
-        let values: Option<Vec<f64>> = group.iter().map(|curve| at(curve, env_steps)).collect();
-        values.map(|values| point(env_steps, &values))
-    };
-    group[0].of(quantity).iter().filter_map(|&(env_steps, _)| together(env_steps)).collect()
+    steps.chunks(quantity.averaged(steps.len())).map(point).collect()
+}
+
+/// The value of a curve between its first and last point.
+fn interpolated(curve: &[(f64, f64)], env_steps: f64) -> f64 {
+    let after = curve.partition_point(|point| point.0 < env_steps);
+    let (next, previous) = (curve[after], curve[after.saturating_sub(1)]);
+    if next.0 == env_steps {
+        return next.1;
+    }
+    previous.1 + (next.1 - previous.1) * (env_steps - previous.0) / (next.0 - previous.0)
 }
 
 fn point(env_steps: f64, values: &[f64]) -> Point {

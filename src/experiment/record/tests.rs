@@ -40,7 +40,7 @@ fn a_finished_run_stands_in_the_record_with_its_hash_and_comes_back_as_a_curve()
     let mut record = Record::read(&path).unwrap();
     assert!(!record.holds(&runs[0]));
     record.add(&runs[0], &curve).unwrap();
-    record.write(&path).unwrap();
+    record.clone().add_to(&path).unwrap();
     let text = std::fs::read_to_string(&path).unwrap();
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[2], "halfcheetah-2x3,happo,0,4000,2,5,,,,");
@@ -52,6 +52,25 @@ fn a_finished_run_stands_in_the_record_with_its_hash_and_comes_back_as_a_curve()
     let found = again.curve(&runs[0]).unwrap();
     assert_eq!(found.of(Quantity::Return), curve.of(Quantity::Return));
     assert_eq!(found.of(Quantity::Surprise), [(4000.0, 5.0), (8000.0, 8.0)]);
+}
+
+#[test]
+fn experiments_that_add_to_one_record_at_the_same_time_lose_no_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("record.csv");
+    let run = |seed: u64| {
+        let evaluation =
+            Evaluation { env_steps: 0, mean_return: 1.0, surprise: None, information: None };
+        let run = RecordedRun { evaluations: vec![evaluation], ..RecordedRun::default() };
+        Record([(("ant-4x2".into(), "happo".into(), seed), run)].into())
+    };
+    std::thread::scope(|scope| {
+        for seed in 0..16 {
+            let path = &path;
+            scope.spawn(move || run(seed).add_to(path).unwrap());
+        }
+    });
+    assert_eq!(Record::read(&path).unwrap().0.len(), 16);
 }
 
 #[test]
@@ -71,6 +90,15 @@ fn a_run_with_another_length_settings_or_evaluations_is_not_the_recorded_one() {
         let file: ExperimentFile = toml::from_str(&text).unwrap();
         assert!(!record.holds(&plan(&file).unwrap()[0]), "{other}");
     }
+    let plain = SAMPLE.replace("settings.observation.mode = \"k_nearest\"", "");
+    let text = format!("{plain}\n[environments]\nhalfcheetah-2x3 = \"http://127.0.0.1:7\"");
+    let outside = plan(&toml::from_str::<ExperimentFile>(&text).unwrap()).unwrap();
+    let at = |run: &&PlannedRun| {
+        (&run.task, &run.variant, run.seed) == (&runs[0].task, &runs[0].variant, runs[0].seed)
+    };
+    let outside = outside.iter().find(at).unwrap();
+    let why = record.conflict(outside).unwrap();
+    assert!(!record.holds(outside) && why.contains("with other settings"), "{why}");
     curve.points.get_mut(&Quantity::Return).unwrap().pop();
     let mut record = Record::default();
     record.add(&runs[0], &curve).unwrap();

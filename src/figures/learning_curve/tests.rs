@@ -142,7 +142,25 @@ fn each_quantity_is_taken_from_the_lines_that_hold_it() {
 
 #[test]
 fn many_points_become_means_of_neighbours() {
-    let points: Vec<(f64, f64)> = (0..200).map(|i| (f64::from(i), f64::from(2 * i))).collect();
-    let thinned = thinned(&points);
-    assert_eq!((thinned.len(), thinned[0], thinned[99]), (100, (0.5, 1.0), (198.5, 397.0)));
+    let run = |seed: u64, length: u32| {
+        let points = (0..length).map(|i| (f64::from(i), f64::from(2 * i))).collect();
+        Curve { points: [(Quantity::Surprise, points)].into(), ..curve("happo", seed, &[]) }
+    };
+    // Runs of other lengths have the same points in common.
+    let panels = panels(&[run(1, 200), run(2, 1000)], &[Quantity::Surprise]);
+    let found: Vec<_> =
+        panels[0].series[0].points.iter().map(|point| (point.env_steps, point.centre)).collect();
+    assert_eq!((found.len(), found[0], found[99]), (100, (0.5, 1.0), (198.5, 397.0)));
+}
+
+#[test]
+fn runs_with_other_intervals_between_evaluations_are_joined_by_straight_lines() {
+    let often: Vec<_> = (0..=6).map(|i| (f64::from(i), f64::from(i * i))).collect();
+    let curves =
+        [curve("happo", 1, &often), curve("happo", 2, &[(0.0, 0.0), (4.0, 8.0), (8.0, 9.0)])];
+    let found = returns(&curves)[0].series[0].points.clone();
+    let found: Vec<_> = found.iter().map(|point| (point.env_steps, point.centre)).collect();
+    let expected =
+        [(0.0, 0.0), (1.0, 1.5), (2.0, 4.0), (3.0, 7.5), (4.0, 12.0), (5.0, 16.625), (6.0, 22.25)];
+    assert_eq!(found, expected);
 }

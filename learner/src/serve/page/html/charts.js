@@ -44,6 +44,9 @@ function charts(entries) {
     for (const [title, curves] of gathered) found.get(title).lines.push({label: entry, place, ...together(curves)});
   }
   for (const chart of found.values()) {
+    // Curves without common steps have no mean.
+    chart.lines = chart.lines.filter((line) => line.steps.length);
+    if (!chart.lines.length) found.delete(chart.title);
     if (isOneRun) chart.lines.sort((a, b) => a.place - b.place);
     chart.lines.forEach((line, i) => { line.place ??= i; });
   }

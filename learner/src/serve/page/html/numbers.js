@@ -21,7 +21,7 @@ const between = (a, b, share) => a + (b - a) * share;
 
 function short(value) {
   const size = Math.abs(value);
-  if (size >= 1e6) return `${+(value / 1e6).toPrecision(4)}M`;
+  if (size >= 999950) return `${+(value / 1e6).toPrecision(4)}M`;
   if (size >= 1e4) return `${+(value / 1e3).toPrecision(4)}k`;
   return size > 0 && size < 1e-3 ? value.toExponential(1) : `${+value.toPrecision(4)}`;
 }
