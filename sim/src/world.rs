@@ -199,7 +199,7 @@ impl World {
             .collect()
     }
 
-    /// Angles and speeds of all hinges.
+    /// Angles, as agents observe them, and speeds of all hinges.
     pub(crate) fn joint_poses(&self) -> Vec<JointPose> {
         let robot = &self.robot;
         let mut coordinates = vec![0.0; robot.coordinate_names().len()];
@@ -212,7 +212,7 @@ impl World {
             .map(|(link, joint)| JointPose {
                 name: robot.coordinate_names()[joint.coordinate].clone(),
                 link,
-                position: coordinates[joint.coordinate],
+                position: coordinates[joint.coordinate] + robot.reference()[joint.coordinate],
                 velocity: velocities[joint.velocity],
             })
             .collect()

@@ -61,9 +61,10 @@ impl Robot {
     /// The law of the actuator with this index in the model.
     pub(crate) fn actuator_spec(&self, index: usize) -> ActuatorSpec {
         let motor = &self.blueprint.motors[index];
-        let direct = Servo { gain: 1.0, bias: [0.0; 3], range: None };
-        let Servo { gain, bias, range } = motor.servo.unwrap_or(direct);
-        let [constant, stiffness, slope] = bias;
+        let direct = Servo { gain: 1.0, bias: [0.0; 3], observed_constant: 0.0, range: None };
+        let Servo { gain, bias, observed_constant: constant, range } =
+            motor.servo.unwrap_or(direct);
+        let [_, stiffness, slope] = bias;
         // The difference from 0 is never -0.
         let (kp, kd) = (0.0 - stiffness, 0.0 - slope);
         let kind = if kp == 0.0 && kd == 0.0 {

@@ -236,6 +236,8 @@ pub(crate) struct Servo {
     /// The first number is for this crate's coordinate, which is zero in the rest pose. A positive third number of a servo of
     /// the position is its damping ratio, until [`Layout`](super::Layout) gives the joint's inertia.
     pub(crate) bias: [f32; 3],
+    /// The first number for the coordinate as agents observe it, which is the joint's `ref` in the rest pose.
+    pub(crate) observed_constant: f32,
     pub(crate) range: Option<[f32; 2]>,
 }
 

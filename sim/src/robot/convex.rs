@@ -23,8 +23,10 @@ use crate::scene::{Hull, Shape};
 const LEVEL: f32 = 0.02;
 /// Cosine of the angle to the normal of a face, 0.01 rad, up to which a face touches as a whole.
 const ON_FACE: f32 = 0.99995;
-/// Corners of a hull that are at most this fraction of its size above its lowest corner may touch together with it.
-const TOGETHER: f32 = 0.01;
+/// Slope of an edge, 0.0016 as in MuJoCo, up to which both its ends touch.
+const LEVEL_EDGE: f32 = 0.0016;
+/// The sine of the angle of [`ON_FACE`].
+const OFF_FACE: f32 = 0.01;
 
 /// A convex shape in the frame of its link.
 #[derive(Clone)]
@@ -103,9 +105,15 @@ impl Convex {
                 let stretched = *half * along;
                 add(*half * stretched / stretched.length(), 0);
             }
-            Form::Hull(hull, size) => hull_corners(&hull.points, TOGETHER * size, along, add),
+            Form::Hull(hull, size) => {
+                let mut touching = within(&hull.points, LEVEL_EDGE * size, along);
+                touching.extend(level_faces(hull, *size, along).flatten());
+                touching.sort_unstable();
+                touching.dedup();
+                spread(&hull.points, &touching, along, add);
+            }
             // Only its deepest point touches.
-            Form::Prism(points) => hull_corners(points, 0.0, along, add),
+            Form::Prism(points) => add(farthest(points, along), 0),
         }
     }
 }
@@ -162,46 +170,66 @@ fn farthest(points: &[[f32; 3]], along: Vector) -> Vector {
     best.0
 }
 
-/// At most four of the farthest corners of a hull, far from each other.
-fn hull_corners(points: &[[f32; 3]], band: f32, along: Vector, mut add: impl FnMut(Vector, u32)) {
-    let corner = |index: usize| Vector::from_array(points[index]);
-    let height = |index: usize| corner(index).dot(along);
-    let best = |score: &dyn Fn(usize) -> f32| {
-        let all = (0..points.len()).map(|index| (index, score(index)));
+/// The corners of a hull that are at most `band` below the farthest one along `along`, in the order of their indices.
+fn within(points: &[[f32; 3]], band: f32, along: Vector) -> Vec<u32> {
+    let height = |point: &[f32; 3]| Vector::from_array(*point).dot(along);
+    let top = points.iter().map(height).fold(f32::NEG_INFINITY, f32::max);
+    let lowest = top - band * along.length();
+    let all = (0..).zip(points);
+    all.filter(|(_, point)| height(point) >= lowest).map(|(index, _)| index).collect()
+}
+
+/// The triangles of a hull of this size whose normal is `along`, up to the angle of [`ON_FACE`].
+fn level_faces(hull: &Hull, size: f32, along: Vector) -> impl Iterator<Item = [u32; 3]> {
+    let along = along.normalize_or_zero();
+    let corner = |index: u32| Vector::from_array(hull.points[index as usize]);
+    let top = farthest(&hull.points, along).dot(along);
+    // A level face reaches no farther below the farthest corner.
+    let is_high = move |index: u32| corner(index).dot(along) >= top - OFF_FACE * size;
+    hull.triangles.iter().copied().filter(move |triangle| {
+        let [a, b, c] = triangle.map(corner);
+        triangle.iter().all(|index| is_high(*index))
+            && (b - a).cross(c - a).normalize_or_zero().dot(along) > ON_FACE
+    })
+}
+
+/// At most four of the corners of a hull with these indices: the farthest one along `along`, and others far from each other.
+fn spread(points: &[[f32; 3]], touching: &[u32], along: Vector, mut add: impl FnMut(Vector, u32)) {
+    let corner = |index: u32| Vector::from_array(points[index as usize]);
+    let best = |score: &dyn Fn(Vector) -> f32| {
+        let all = touching.iter().map(|&index| (index, score(corner(index))));
         all.fold((0, f32::NEG_INFINITY), |best, next| if next.1 > best.1 { next } else { best })
     };
-    let (first, top) = best(&height);
-    let lowest = top - band * along.length();
-    let near = |score: &dyn Fn(usize) -> f32| {
-        best(&|index| if height(index) >= lowest { score(index) } else { f32::NEG_INFINITY })
-    };
-    add(corner(first), first as u32);
-    let (second, distance) = near(&|index| (corner(index) - corner(first)).length_squared());
+    let (first, _) = best(&|place| place.dot(along));
+    let from = |place: Vector| place - corner(first);
+    add(corner(first), first);
+    let (second, distance) = best(&|place| from(place).length_squared());
     if distance <= 0.0 {
         return;
     }
-    let side = (corner(second) - corner(first)).cross(along);
-    let beside = |sign: f32| near(&|index| sign * (corner(index) - corner(first)).dot(side));
+    let side = from(corner(second)).cross(along);
+    let beside = |sign: f32| best(&|place| sign * from(place).dot(side));
     // In turn around the feature, as the engine clips features against each other.
     for (index, offset) in [beside(1.0), (second, 1.0), beside(-1.0)] {
         if offset > 0.0 {
-            add(corner(index), index as u32);
+            add(corner(index), index);
         }
     }
 }
 
 impl Convex {
-    /// The corners of a hull that are at most `reach` above the lowest one along `along`, in the link's frame; of other forms
-    /// nothing.
+    /// At most four corners of a hull that are at most `reach` above the lowest one along `along`, in the link's frame; of other
+    /// forms nothing.
     pub(crate) fn corners_within(
         &self,
         along: Vector,
         reach: f32,
         mut add: impl FnMut(Vector, u32),
     ) {
-        if let Form::Hull(hull, size) = &self.form {
-            let (band, inside) = (reach.max(TOGETHER * size), self.pose.rotation.inverse() * along);
-            hull_corners(&hull.points, band, inside, |corner, id| add(self.pose * corner, id));
+        if let Form::Hull(hull, _) = &self.form {
+            let inside = self.pose.rotation.inverse() * along;
+            let touching = within(&hull.points, reach, inside);
+            spread(&hull.points, &touching, inside, |corner, id| add(self.pose * corner, id));
         }
     }
 
@@ -217,12 +245,15 @@ impl Convex {
             Form::Box(_) => inside.abs().max_element() > ON_FACE,
             Form::Cylinder(_) => inside.z.abs() > ON_FACE,
             Form::Ellipsoid(_) | Form::Prism(_) => false,
-            Form::Hull(hull, _) => hull.triangles.iter().any(|corners| {
-                let [a, b, c] =
-                    corners.map(|corner| Vector::from_array(hull.points[corner as usize]));
-                (b - a).cross(c - a).normalize_or_zero().dot(inside) > ON_FACE
-            }),
+            Form::Hull(hull, size) => level_faces(hull, *size, inside).next().is_some(),
         }
+    }
+
+    /// Whether it is a cylinder that is tilted against a face with this normal in the link's frame: neither an end nor a line along its
+    /// side lies on the face.
+    pub(crate) fn is_tilted(&self, along: Vector) -> bool {
+        let slope = (self.pose.rotation.inverse() * along).z.abs();
+        matches!(self.form, Form::Cylinder(_)) && slope > OFF_FACE && slope <= ON_FACE
     }
 
     /// Whether it and `other` are boxes that touch at two crossing edges. `between` is the pose of the other's link in this one's.

@@ -9,9 +9,15 @@ pub(super) const MOST_HEIGHTS: usize = 1 << 20;
 /// Memory of the image decoder, bytes.
 const DECODER_BYTES: usize = 16 << 20;
 
-/// Number of columns, and the heights by rows, the one with the largest y first, in any unit.
-pub(super) fn read(path: &str, bytes: &[u8]) -> Result<(usize, Vec<f64>), String> {
-    let is_image = path.to_ascii_lowercase().ends_with(".png");
+/// Number of columns, and the heights by rows, the one with the largest y first, in any unit. A content type counts more than
+/// the file's name.
+pub(super) fn read(
+    path: &str,
+    content_type: Option<&str>,
+    bytes: &[u8],
+) -> Result<(usize, Vec<f64>), String> {
+    let is_named = path.to_ascii_lowercase().ends_with(".png");
+    let is_image = content_type.map_or(is_named, |stated| stated == "image/png");
     let read = if is_image { read_image(bytes) } else { read_numbers(bytes) };
     read.map_err(|reason| format!("{path}: {reason}"))
 }
@@ -97,9 +103,11 @@ mod tests {
     fn an_image_and_a_file_of_numbers_give_rows_from_the_largest_y() {
         let levels = [0x0100, 0x02ff, 0x0300, 0x0400, 0x0500, 0xff00];
         let heights = vec![1.0, 2.0, 3.0, 4.0, 5.0, 255.0];
-        assert_eq!(read("a.PNG", &image(3, &levels)).unwrap(), (3, heights.clone()));
+        assert_eq!(read("a.PNG", None, &image(3, &levels)).unwrap(), (3, heights.clone()));
         let file = numbers(2, 3, &[4.0, 5.0, 255.0, 1.0, 2.0, 3.0]);
-        assert_eq!(read("a.bin", &file).unwrap(), (3, heights));
+        assert_eq!(read("a.bin", None, &file).unwrap(), (3, heights.clone()));
+        let stated = read("a.dat", Some("image/png"), &image(3, &levels));
+        assert_eq!(stated.unwrap(), (3, heights), "the content type counts");
     }
 
     #[test]
@@ -109,7 +117,7 @@ mod tests {
         giant[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
         let crc = crc(&giant[12..29]).to_be_bytes();
         giant[29..33].copy_from_slice(&crc);
-        let refusal = |path: &str, bytes: &[u8]| read(path, bytes).unwrap_err();
+        let refusal = |path: &str, bytes: &[u8]| read(path, None, bytes).unwrap_err();
         assert!(refusal("a.png", &giant).contains("at most 1048576 are allowed"));
         assert!(refusal("a.png", b"no image").contains("not a valid PNG image"));
         let cut = image(2, &[0, 1, 2, 3]);

@@ -1,15 +1,15 @@
 //! Triangle meshes of a model: binary STL, OBJ and MSH files, their convex hulls, and the masses that they enclose.
 
+mod hull;
+
 use std::collections::BTreeSet;
 use std::sync::Arc;
-
-use rapier3d::math::Vector;
-use rapier3d::parry::transformation::try_convex_hull;
 
 use super::document::bounds;
 use super::frame::{Frame, IDENTITY, cross, dot, rotated};
 use super::inertia::{Matrix, Solid};
 use crate::scene::Hull;
+use hull::NoHull;
 
 const STL_HEADER_BYTES: usize = 84;
 const STL_TRIANGLE_BYTES: usize = 50;
@@ -110,26 +110,25 @@ impl Mesh {
         }
         let unique: BTreeSet<[u32; 3]> =
             self.points.iter().map(|point| point.map(|x| (x as f32 + 0.0).to_bits())).collect();
-        let points: Vec<Vector> =
-            unique.into_iter().map(|bits| Vector::from_array(bits.map(f32::from_bits))).collect();
+        let points: Vec<[f32; 3]> =
+            unique.into_iter().map(|bits| bits.map(f32::from_bits)).collect();
         let count = points.len();
         if count > MOST_CORNERS {
             return Err(format!(
                 "it has {count} different points, at most {MOST_CORNERS} are allowed; simplify it"
             ));
         }
-        let flat = || {
-            "its points do not span a volume; check its `scale`, and its `vertex` or file, or \
+        hull::convex_hull(&points).map_err(|why| match why {
+            NoHull::Flat => {
+                "its points do not span a volume; check its `scale`, and its `vertex` or file, or \
                 remove the shapes that it has"
-                .to_owned()
-        };
-        let (points, triangles) = try_convex_hull(&points).map_err(|_| flat())?;
-        let hull = Hull {
-            points: points.iter().map(|point| point.to_array()).collect(),
-            triangles: triangles.into_iter().collect(),
-        };
-        let volume = Self::of_hull(&hull).solid(Volume::Exact).mass;
-        if volume > 0.0 { Ok(hull) } else { Err(flat()) }
+                    .to_owned()
+            }
+            NoHull::Wrong => {
+                "its convex hull cannot be computed; simplify it, for example to its hull"
+                    .to_owned()
+            }
+        })
     }
 
     fn of_hull(hull: &Hull) -> Self {

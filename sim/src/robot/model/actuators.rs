@@ -271,9 +271,10 @@ impl Law {
         if self.gain == 1.0 && self.bias == [0.0; 3] && self.range.is_none() {
             return None;
         }
-        let constant = constant + stiffness * driven.gear * driven.reference;
-        let bias = [constant, stiffness, slope].map(|number| number as f32);
-        Some(Servo { gain: self.gain as f32, bias, range: self.range })
+        let at_rest = constant + stiffness * driven.gear * driven.reference;
+        let bias = [at_rest, stiffness, slope].map(|number| number as f32);
+        let (gain, observed_constant) = (self.gain as f32, constant as f32);
+        Some(Servo { gain, bias, observed_constant, range: self.range })
     }
 }
 

@@ -32,9 +32,8 @@ pub(super) fn field(
     let known = || fields.keys().map(String::as_str);
     let asset = asset.ok_or_else(|| geom.refuse_name("hfield", "height field", known()))?;
     let (columns, stated) = match files.read(asset, folder)? {
-        Some((path, bytes)) => {
-            heights::read(&path, &bytes).map_err(|reason| asset.refuse(reason))?
-        }
+        Some((path, bytes)) => heights::read(&path, asset.text("content_type"), &bytes)
+            .map_err(|reason| asset.refuse(reason))?,
         None => stated(asset)?,
     };
     let size = asset.numbers::<4>("size")?;

@@ -77,6 +77,8 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
                     |name: &str| source != MassSource::Shapes && name == "inertiafromgeom";
                 section.attributes.retain(|name, _| keep(name) || is_source(name));
             }
+            // A path without its sites is none, and no length has an effect.
+            "tendon" => section.children.retain(|child| child.tag != "spatial"),
             "asset" => assets(section, (&context, folder), &hulls)?,
             "default" => without_materials(section),
             _ => {}
@@ -199,7 +201,7 @@ fn assets(
 
 /// Replaces the file of a height field by its heights.
 fn state_heights(asset: &mut Element, path: &str, bytes: &[u8]) -> Result<(), String> {
-    let read = heights::read(path, bytes);
+    let read = heights::read(path, asset.text("content_type"), bytes);
     let (columns, heights) = read.map_err(|reason| asset.refuse(reason))?;
     let heights: Vec<f32> = heights.into_iter().map(|height| height as f32).collect();
     let attributes = [

@@ -13,6 +13,7 @@ use super::bodies::{self, Body};
 use super::context::Context;
 use super::geoms::Geom;
 use super::joints;
+use crate::error::short;
 
 /// Distance of a free root's mass centre from its origin that counts as none, m.
 const LARGEST_OFFSET: f32 = 1e-5;
@@ -297,7 +298,11 @@ fn check_mass(body: &Body, mass: &MassProperties) -> Result<(), String> {
     let [a, b, c] = moments;
     Err(body.element.refuse(format!(
         "a body that moves must have a mass of 1e-12 to 1e9 kg and moments of inertia of 1e-13 to 1e15 kg m^2, it has \
-         {mass:e}, and {a:e}, {b:e} and {c:e}; set its `inertial` or shapes"
+         {}, and {}, {} and {}; set its `inertial` or shapes",
+        short(mass),
+        short(a),
+        short(b),
+        short(c)
     )))
 }
 

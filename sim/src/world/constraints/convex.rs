@@ -8,8 +8,8 @@ use super::pair::Pair;
 use crate::robot::Convex;
 
 /// Finds the contacts of convex shapes anew that the engine finds roughly: those of an ellipsoid or a cylinder, and wrong ones. Of
-/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them. Of two
-/// boxes with such a normal, it remains if edges touch.
+/// any convex shapes, only the deepest point remains, as in MuJoCo, unless the normal is that of a face of one of them, and no cylinder is
+/// tilted against that face. Of two boxes with such a normal, it remains if edges touch.
 pub(super) fn sharpen(
     shapes: [&dyn Shape; 2],
     between: &Pose,
@@ -26,8 +26,9 @@ pub(super) fn sharpen(
         Pair::find(shapes, between, (margin, is_round), manifold);
     }
     let along = [manifold.local_n1, manifold.local_n2];
-    let mut faces = convex.iter().zip(along);
-    let has_face = faces.any(|(convex, along)| convex.is_some_and(|own| own.has_face(along)));
+    let faces = || convex.iter().zip(along);
+    let has_face = faces().any(|(convex, along)| convex.is_some_and(|own| own.has_face(along)))
+        && !faces().any(|(convex, along)| convex.is_some_and(|own| own.is_tilted(along)));
     let edges_touch = match convex {
         [Some(one), Some(other)] => has_face && one.edges_touch(other, between),
         _ => false,
@@ -45,12 +46,14 @@ pub(super) fn keep_deepest(manifold: &mut ContactManifold<(), ()>) {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use rapier3d::math::{Rotation, Vector};
     use rapier3d::parry::query::{DefaultQueryDispatcher, PersistentQueryDispatcher as _};
     use rapier3d::prelude::SharedShape;
 
     use super::*;
-    use crate::scene::Shape as Form;
+    use crate::scene::{Hull, Shape as Form};
 
     const ELLIPSOID: [f32; 3] = [0.15, 0.1, 0.05];
     const DEPTH: f32 = 1e-3;
@@ -116,6 +119,39 @@ mod tests {
                 pose.inv_mul(&Pose::from_parts(Vector::Z * (height + 0.03 - 4e-3), tilted));
             let manifold = touch([&*below, &*above], &between);
             assert_eq!(manifold.points.len(), count, "{roll} {tilt}");
+        }
+    }
+
+    /// The bottom of a plate is 8 mm below its rim.
+    #[test]
+    fn a_hull_lies_on_the_corners_of_its_bottom_and_not_on_higher_ones() {
+        let ring = |radius: f32, z: f32| {
+            [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+                .map(|[x, y]| [radius * x, radius * y, z])
+        };
+        let points = [ring(0.4, 0.0), ring(0.5, 0.008), ring(0.5, 0.1)].concat();
+        let triangles = vec![[0, 2, 1], [0, 3, 2]];
+        let plate = Form::Hull(Arc::new(Hull { points, triangles }));
+        let plate = Convex::shared(&plate, &Pose::IDENTITY);
+        let below = Convex::shared(&Form::Box { half_sizes: [1.0; 3] }, &Pose::IDENTITY);
+        let manifold = touch([&*below, &*plate], &Pose::from_translation(Vector::Z * 0.999));
+        let distances: Vec<f32> = manifold.points.iter().map(|point| point.dist).collect();
+        assert!(distances.len() >= 4, "{distances:?}");
+        assert!(distances.iter().all(|dist| (dist + DEPTH).abs() < 1e-5), "{distances:?}");
+    }
+
+    #[test]
+    fn a_cylinder_touches_a_face_in_one_point_unless_an_end_or_its_side_lies_on_it() {
+        let cylinder =
+            Convex::shared(&Form::Cylinder { half_length: 0.1, radius: 0.1 }, &Pose::IDENTITY);
+        let below = Convex::shared(&Form::Box { half_sizes: [1.0; 3] }, &Pose::IDENTITY);
+        for (degrees, count) in [(0.0_f32, 5), (8.0, 1), (60.0, 1), (90.0, 2)] {
+            let turn = Rotation::from_rotation_x(degrees.to_radians());
+            let (sine, cosine) = libm::sincosf(degrees.to_radians());
+            let height = 1.0 + 0.1 * (sine + cosine) - DEPTH;
+            let manifold =
+                touch([&*below, &*cylinder], &Pose::from_parts(Vector::Z * height, turn));
+            assert_eq!(manifold.points.len(), count, "{degrees}");
         }
     }
 

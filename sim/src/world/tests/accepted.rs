@@ -1,15 +1,30 @@
 //! Tests of what vendors' models contain: markers, missing control ranges, flags, and messages of several lines.
 
+use std::sync::Arc;
+
 use proto::{ActivationKind, ActuatorKind, ActuatorSpec};
 
-use super::{LOPSIDED, document, robot, robot_of_files};
+use super::{LOPSIDED, World, document, robot, robot_of_files};
 use crate::robot::{Robot, one_document};
 
 /// A robot with an actuator of a joint from -0.5 to 1.5, whose torque is at most 20 N m.
 fn driven(actuator: &str) -> Robot {
-    let body = "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\" range=\"-0.5 1.5\" actuatorfrcrange=\"-20 20\"/>\
-        <geom size=\"0.1\"/></body>";
-    robot(&document(body, actuator)).unwrap()
+    driven_from(0.0, actuator)
+}
+
+/// As [`driven`], with this coordinate in the rest pose.
+fn driven_from(reference: f32, actuator: &str) -> Robot {
+    let body = format!(
+        "<body pos=\"0 0 1\"><joint name=\"j\" axis=\"0 1 0\" range=\"-0.5 1.5\" ref=\"{reference}\" \
+         actuatorfrcrange=\"-20 20\"/><geom size=\"0.1\"/></body>"
+    );
+    robot(&document(&body, actuator)).unwrap()
+}
+
+#[test]
+fn the_shown_angle_of_a_joint_is_the_one_that_agents_observe() {
+    let world = World::new(Arc::new(driven_from(0.3, "")));
+    assert_eq!(world.joint_poses()[0].position, 0.3);
 }
 
 /// Control range of such an actuator.
@@ -76,6 +91,8 @@ fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
     ] {
         let actuator = format!("<{actuator} joint=\"j\" gear=\"4\" ctrlrange=\"-1 1\"/>");
         assert_eq!(driven(&actuator).actuator_spec(0), expected, "{actuator}");
+        // The law is for the joint's coordinate as agents observe it, whatever its reference.
+        assert_eq!(driven_from(0.3, &actuator).actuator_spec(0), expected, "{actuator}");
     }
 }
 
