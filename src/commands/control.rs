@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use clap::Args;
+use learner::serve::health::{HealthError, demand_serving};
 use learner::serve::service::Operator;
 use learner::store::run_folder::RunFolder;
 use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
@@ -50,9 +51,9 @@ pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
-    runtime()?.block_on(async {
-        operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from)
-    })?;
+    let stopped =
+        async { operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from) };
+    answered(stopped, &learner.tls, learner.timeout_secs)?;
     output::line(format!("{of} stops after a checkpoint"));
     Ok(())
 }
@@ -91,6 +92,35 @@ pub(super) async fn operator(url: &str, learner: &LearnerArgument) -> anyhow::Re
     Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), learner.timeout_secs).await?)
 }
 
+/// Waits for the answer to a call.
+fn answered<T>(
+    call: impl Future<Output = anyhow::Result<T>>,
+    tls: &ClientTlsArguments,
+    timeout: Duration,
+) -> anyhow::Result<T> {
+    runtime()?.block_on(async {
+        match call.await {
+            Err(error) => Err(explained(error, tls, timeout).await),
+            answer => answer,
+        }
+    })
+}
+
+/// Replaces the error of a broken connection by its reason if the TLS settings of the two sides do not match. A second
+/// connection finds it within `timeout`.
+pub(super) async fn explained(
+    error: anyhow::Error,
+    tls: &ClientTlsArguments,
+    timeout: Duration,
+) -> anyhow::Error {
+    let Some(HealthError::Unreachable { url, .. }) = error.downcast_ref() else { return error };
+    let Ok(tls) = credentials(url, tls) else { return error };
+    match actor::diagnosis::reason(url, tls.as_ref(), timeout).await {
+        Some(why) => HealthError::no_session(url, &why).into(),
+        None => error,
+    }
+}
+
 /// `s2mia status`
 #[derive(Args, Debug)]
 pub(crate) struct StatusArguments {
@@ -105,10 +135,9 @@ pub(crate) struct StatusArguments {
 /// Prints one line and a table of leases, or one JSON object.
 pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     let Some(url) = url(&arguments.learner)? else { return at_rest(arguments) };
-    let status = runtime()?.block_on(async {
-        let mut operator = operator(&url, &arguments.learner).await?;
-        anyhow::Ok(operator.status().await?)
-    })?;
+    let learner = &arguments.learner;
+    let status = async { anyhow::Ok(operator(&url, learner).await?.status().await?) };
+    let status = answered(status, &learner.tls, learner.timeout_secs)?;
     if arguments.json {
         output::line(learner::lease::exchange::status_json(&status));
     } else {
@@ -237,12 +266,10 @@ pub(crate) struct HealthArguments {
 /// Ends with status 0 if the learner serves, else with a one-line reason.
 pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
     let tls = credentials(&arguments.learner, &arguments.tls)?;
-    let asked = learner::serve::health::demand_serving(
-        &arguments.learner,
-        tls.as_ref(),
-        arguments.timeout_secs,
-    );
-    runtime()?.block_on(asked)?;
+    let (url, timeout) = (&arguments.learner, arguments.timeout_secs);
+    let asked =
+        async { demand_serving(url, tls.as_ref(), timeout).await.map_err(anyhow::Error::from) };
+    answered(asked, &arguments.tls, timeout)?;
     output::line(format!("{} serves", arguments.learner));
     Ok(())
 }

@@ -95,14 +95,12 @@ fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
         assert_ne!(code, Some(0), "{text}");
         assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
     }
-    for question in [&["status", &unguarded][..], &["health", "--learner", &unguarded]] {
-        let (_, text) = asked(question, &[]);
-        assert!(text.contains("requires TLS") && text.contains("pass --tls-ca"), "{text}");
+    let health = ["health", "--learner", &unguarded];
+    for question in [&["status", &unguarded][..], &health, &["watch", &unguarded]] {
+        let (code, text) = asked(question, &[]);
+        assert!(code == Some(1) && text.lines().count() == 1, "{text}");
+        assert!(text.contains("requires TLS; use https:// with --tls-ca"), "{text}");
     }
-    let (_, text) = asked(&["status", &learner.url], &other.of_client(&own, "operator"));
-    let names_the_certificate =
-        ["another authority", "not accept this client certificate"].map(|why| text.contains(why));
-    assert!(names_the_certificate.contains(&true), "{text}");
 
     let text = learner.finish(&words(&actors));
     for words in [
@@ -132,14 +130,17 @@ fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
     let (no_files, strangers) = (Vec::new(), other.of_client(&own, "operator"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
     let needs_operator = "needs the role operator; the certificate carries actor";
-    let cases: [(&[&str], &[String], i32, &str); 11] = [
+    let cases: [(&[&str], &[String], i32, &str); 14] = [
         (&stop, &of("actor"), 1, needs_operator),
         (&["watch", &url], &of("actor"), 1, needs_operator),
         (&status, &of("actor"), 1, needs_operator),
         (&status, &of("operator"), 0, "iteration 0"),
         (&["status", text(&run)], &of("operator"), 0, "iteration 0"),
         (&health, &of("actor"), 0, "serves"),
-        (&health, &strangers, 1, "does not answer"),
+        (&health, &strangers, 1, "another authority has signed it"),
+        (&status, &strangers, 1, "another authority has signed it"),
+        (&["watch", &url], &strangers, 1, "another authority has signed it"),
+        (&["watch", &url], &own.of_client(&other, "operator"), 1, "--tls-ca has not signed it"),
         (&status, &no_files, 2, needs_certificates),
         (&health, &no_files, 2, needs_certificates),
         (&["status", &plain], &of("operator"), 2, "begins with https://"),
