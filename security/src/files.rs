@@ -41,22 +41,29 @@ fn certificates(path: &Path, pem: &[u8]) -> Result<Vec<CertificateDer<'static>>,
     chain.ok_or_else(|| not_pem(path, CERTIFICATE))
 }
 
+/// Why a peer would refuse the certificate, read from `path`, of a client at `now`. The period is checked first, then
+/// whether it is an authority. The issuer, which is not known here, is last.
+fn objection(
+    path: &Path,
+    certificate: &CertificateDer<'_>,
+    now: UnixTime,
+) -> Result<webpki::Error, SecurityError> {
+    let parsed = EndEntityCert::try_from(certificate).map_err(|why| {
+        unusable(path, CERTIFICATE, format!("it is damaged or unsupported ({why})"))
+    })?;
+    let verified = parsed.verify_for_usage(&[], &[], &[], now, KeyUsage::client_auth(), None, None);
+    Ok(verified.err().unwrap_or(webpki::Error::UnknownIssuer))
+}
+
 /// Refuses a certificate, read from `path`, that is not valid at `now`. Peers would refuse it without this reason.
 fn demand_validity(
     path: &Path,
     certificate: &CertificateDer<'_>,
     now: UnixTime,
 ) -> Result<(), SecurityError> {
-    let parsed = EndEntityCert::try_from(certificate).map_err(|why| {
-        unusable(path, CERTIFICATE, format!("it is damaged or unsupported ({why})"))
-    })?;
-    // The period is checked first. There are no authorities, so the verification fails afterwards in any case.
-    let verified = parsed.verify_for_usage(&[], &[], &[], now, KeyUsage::client_auth(), None, None);
-    let period = match verified.err() {
-        Some(webpki::Error::CertExpired { not_after, .. }) => {
-            format!("expired at {}", in_utc(not_after))
-        }
-        Some(webpki::Error::CertNotValidYet { not_before, .. }) => {
+    let period = match objection(path, certificate, now)? {
+        webpki::Error::CertExpired { not_after, .. } => format!("expired at {}", in_utc(not_after)),
+        webpki::Error::CertNotValidYet { not_before, .. } => {
             format!("is valid from {} only", in_utc(not_before))
         }
         _ => return Ok(()),
@@ -92,6 +99,42 @@ pub(crate) fn authorities(
         roots.add(certificate).map_err(|error| unusable(path, CERTIFICATE, error.to_string()))?;
     }
     Ok(roots)
+}
+
+/// The authorities in `pem`, which was read from `path`, that sign the certificates of clients. The key of any other
+/// certificate in it could sign every role: the verification of clients trusts all of them.
+pub(crate) fn client_authorities(
+    path: &Path,
+    pem: &[u8],
+    now: UnixTime,
+) -> Result<RootCertStore, SecurityError> {
+    let roots = authorities(path, pem, now)?;
+    for certificate in certificates(path, pem)? {
+        if !is_of_old_version(&certificate) && !is_authority(path, &certificate, now)? {
+            return Err(SecurityError(format!(
+                "{} holds a certificate that is no authority; its key could sign certificates of every role. Name the \
+                 file of the authority that signed the certificates of the clients",
+                path.display()
+            )));
+        }
+    }
+    Ok(roots)
+}
+
+/// Whether the certificate, read from `path`, is that of an authority, whatever its period.
+fn is_authority(
+    path: &Path,
+    certificate: &CertificateDer<'_>,
+    now: UnixTime,
+) -> Result<bool, SecurityError> {
+    use webpki::Error::{CaUsedAsEndEntity, CertExpired, CertNotValidYet};
+    let objection = match objection(path, certificate, now)? {
+        CertExpired { not_after: valid, .. } | CertNotValidYet { not_before: valid, .. } => {
+            objection(path, certificate, valid)?
+        }
+        other => other,
+    };
+    Ok(matches!(objection, CaUsedAsEndEntity))
 }
 
 /// Whether the certificate is older than X.509 version 3. Rustls accepts such an authority, but cannot tell its period.
@@ -192,6 +235,26 @@ mod tests {
             at(ISSUED - DAY),
             "the certificate own.pem is valid from 2001-09-09 01:41:40 UTC only (it is 2001-09-08 01:46:40 UTC)"
         );
+    }
+
+    #[test]
+    fn an_authority_of_clients_is_one_even_if_it_has_expired() {
+        let issuer = |at| Issuer::new(SystemTime::UNIX_EPOCH + at, DAY).unwrap();
+        let (now, expired) = (issuer(ISSUED), issuer(ISSUED - 3 * DAY));
+        let (leaf, old_leaf) = (now.client(&[]).unwrap(), expired.client(&[]).unwrap());
+        let accepts = |second: &str| {
+            let pem = [now.certificate().as_str(), second].concat();
+            let time = UnixTime::since_unix_epoch(ISSUED);
+            let read = client_authorities(Path::new("ca.pem"), pem.as_bytes(), time);
+            read.map(|roots| roots.len()).map_err(|error| error.to_string())
+        };
+        assert_eq!(accepts(""), Ok(1));
+        assert_eq!(accepts(&expired.certificate()), Ok(2));
+        for certificate in [leaf.certificate, old_leaf.certificate] {
+            let line = accepts(&certificate).unwrap_err();
+            let expected = "ca.pem holds a certificate that is no authority; ";
+            assert!(line.starts_with(expected), "{line}");
+        }
     }
 
     #[test]
