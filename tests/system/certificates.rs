@@ -238,23 +238,33 @@ fn an_invalid_file_is_reported_in_one_line_with_its_name() {
     let own = Certificates::make(runs.folder("own"));
     let issuer = Issuer::new(SystemTime::UNIX_EPOCH + DAY, DAY).unwrap();
     own.write("old", &issuer.client(&[Role::Actor]).unwrap());
-    for (certificate, key, words) in [
-        ("none.pem", "actor.key", "cannot read"),
-        ("actor.key", "actor.key", "holds no certificate in PEM form"),
-        ("actor.pem", "operator.key", "does not fit the certificate"),
-        ("old.pem", "old.key", "expired at 1970-01-03 00:00:00 UTC"),
+    let authority = own.file("ca.pem");
+    let learner = ["learner", "--tls-client-ca", &authority];
+    let actor = ["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority];
+    for (role, own_name, other_name, not_for) in [
+        (&learner[..], "server", "actor", "is not for server authentication"),
+        (&actor[..], "actor", "server", "is not for client authentication"),
     ] {
-        let authority = own.file("ca.pem");
-        let (certificate, key) = (own.file(certificate), own.file(key));
-        let files = ["--tls-certificate", &certificate, "--tls-key", &key];
-        for role in [
-            &["learner", "--tls-client-ca", &authority][..],
-            &["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority],
+        let pem = |name: &str| own.file(&format!("{name}.pem"));
+        let key = |name: &str| own.file(&format!("{name}.key"));
+        for (certificate, key, words) in [
+            (pem("none"), key(own_name), "cannot read"),
+            (key(own_name), key(own_name), "holds no certificate in PEM form"),
+            (pem(own_name), key("operator"), "does not fit the certificate"),
+            (pem("old"), key("old"), "expired at 1970-01-03 00:00:00 UTC"),
+            (pem(other_name), key(other_name), not_for),
+            (pem("ca"), key(own_name), "is that of an authority"),
         ] {
+            let files = ["--tls-certificate", &certificate, "--tls-key", &key];
             let line = refused(&[role, &files].concat());
             assert!(line.contains(words), "{words}: {line}");
         }
     }
+    let operators = own.file("operator.pem");
+    let (certificate, key) = (own.file("server.pem"), own.file("server.key"));
+    let files = ["--tls-certificate", &certificate, "--tls-key", &key];
+    let line = refused(&[&["learner", "--tls-client-ca", &operators][..], &files].concat());
+    assert!(line.contains("operator.pem holds a certificate that is no authority"), "{line}");
 }
 
 #[test]
