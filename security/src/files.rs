@@ -220,8 +220,9 @@ pub(crate) fn certified_key(
     let chain = certificates(&files.certificate, certificate_pem)?;
     demand_usable(&files.certificate, &chain[0], purpose, now)?;
     // The parser's message may quote the file, so it is not passed on.
-    let key =
-        PrivateKeyDer::from_pem_slice(key_pem).map_err(|_| not_pem(&files.key, PRIVATE_KEY))?;
+    let key = PrivateKeyDer::from_pem_slice(key_pem).map_err(|_| {
+        if is_encrypted(key_pem) { encrypted(&files.key) } else { not_pem(&files.key, PRIVATE_KEY) }
+    })?;
     CertifiedKey::from_der(chain, key, &provider()).map_err(|error| match error {
         Error::InconsistentKeys(_) => {
             let (key, certificate) = (files.key.display(), files.certificate.display());
@@ -230,6 +231,17 @@ pub(crate) fn certified_key(
         }
         error => unusable(&files.key, PRIVATE_KEY, error.to_string()),
     })
+}
+
+/// Whether the contents of a key's file need a passphrase, in the form of RFC 7468, section 11, or of RFC 1421, section 4.6.
+fn is_encrypted(pem: &[u8]) -> bool {
+    let marks: [&[u8]; 2] = [b"BEGIN ENCRYPTED PRIVATE KEY", b"Proc-Type: 4,ENCRYPTED"];
+    marks.iter().any(|mark| pem.windows(mark.len()).any(|part| part == *mark))
+}
+
+fn encrypted(path: &Path) -> SecurityError {
+    let path = path.display();
+    SecurityError(format!("the private key {path} is encrypted; write it without a passphrase"))
 }
 
 fn not_pem(path: &Path, expected: &str) -> SecurityError {
@@ -272,6 +284,12 @@ mod tests {
     fn what_is_wrong_with_a_file_is_one_line_that_never_quotes_a_key() {
         let (own, other) = (issued(), issued());
         let cut = &own.key[..own.key.len() / 2];
+        let encrypted = |kind: &str, header: &str| {
+            format!(
+                "-----BEGIN {kind}PRIVATE KEY-----\n{header}AAAA\n-----END {kind}PRIVATE KEY-----\n"
+            )
+        };
+        let passphrase = "the private key own.key is encrypted; write it without a passphrase";
         let damaged = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
         for (certificate, key, line) in [
             ("", own.key.as_str(), "own.pem holds no certificate in PEM form"),
@@ -283,6 +301,8 @@ mod tests {
             ),
             (&own.certificate, "", "own.key holds no private key in PEM form"),
             (&own.certificate, cut, "own.key holds no private key in PEM form"),
+            (&own.certificate, &encrypted("ENCRYPTED ", ""), passphrase),
+            (&own.certificate, &encrypted("EC ", "Proc-Type: 4,ENCRYPTED\n"), passphrase),
             (
                 &own.certificate,
                 &other.key,
