@@ -180,10 +180,10 @@ impl PageAccess {
 ///
 /// # Errors
 /// The variable contains no token.
-pub(crate) fn token_of_environment() -> anyhow::Result<Option<Token>> {
+pub(crate) fn token_of_environment() -> Result<Option<Token>, Usage> {
     let Some(text) = std::env::var_os(Token::VARIABLE) else { return Ok(None) };
     let token = Token::parse(&text.to_string_lossy());
-    Ok(Some(token.with_context(|| format!("cannot use {}", Token::VARIABLE))?))
+    token.map(Some).map_err(|why| Usage::new(format!("cannot use {}: {why}", Token::VARIABLE)))
 }
 
 /// The token of the run in `folder`, else that in `S2MIA_TOKEN`, if either exists.
@@ -193,7 +193,7 @@ pub(crate) fn token_of_environment() -> anyhow::Result<Option<Token>> {
 pub(crate) fn token_for_run(folder: &Path) -> anyhow::Result<Option<Token>> {
     match RunFolder::token(folder)? {
         Some(token) => Ok(Some(token)),
-        None => token_of_environment(),
+        None => Ok(token_of_environment()?),
     }
 }
 

@@ -134,7 +134,9 @@ impl<'a> Watch<'a> {
 
 /// Whether another try would end in the same way.
 fn is_final(error: &anyhow::Error) -> bool {
-    let refused = |error: &HealthError| matches!(error, HealthError::Final(_));
+    let refused = |error: &HealthError| {
+        matches!(error, HealthError::Final(_) | HealthError::InvalidUrl { .. })
+    };
     error.is::<Usage>() || error.downcast_ref().is_some_and(refused)
 }
 

@@ -34,8 +34,16 @@ pub enum HealthError {
         /// The timeout.
         timeout: Duration,
     },
-    /// The URL is invalid, the TLS settings of the two sides do not match, or the learner rejected the call or reports
-    /// another status than `SERVING`. A retry fails, too.
+    /// The URL is invalid.
+    #[error("`{url}` is not a URL such as http://HOST:50051: {detail}")]
+    InvalidUrl {
+        /// The URL.
+        url: String,
+        /// The reason.
+        detail: String,
+    },
+    /// The TLS settings of the two sides do not match, or the learner rejected the call or reports another status than
+    /// `SERVING`. A retry fails, too.
     #[error("{0}")]
     Final(String),
 }
@@ -73,9 +81,7 @@ pub async fn demand_serving(
 
 /// The endpoint at `url`, with the client certificate of `tls`.
 fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
-    let wrong = |detail: String| {
-        HealthError::Final(format!("`{url}` is not a URL such as http://HOST:50051: {detail}"))
-    };
+    let wrong = |detail: String| HealthError::InvalidUrl { url: url.to_owned(), detail };
     let invalid = |error: tonic::transport::Error| wrong(innermost(&error));
     security::addresses::check_port(url).map_err(|port| wrong(port.to_string()))?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
