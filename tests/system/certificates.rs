@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use crate::processes::{Background, Learner};
-use crate::runs::{Runs, SHORT, command, inspect, refused, s2mia, succeeded, text, told, words};
+use crate::runs::{
+    Runs, SHORT, command, failure, inspect, refused, s2mia, succeeded, text, told, under, words,
+};
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::wire::policy_service_client::PolicyServiceClient;
 use proto::wire::{DescribePolicyRequest, DescribeRunRequest};
@@ -230,6 +232,18 @@ fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
     let before = own.read("actor.key");
     assert!(refused(&["certs", text(&own.0)]).contains("nothing is overwritten"));
     assert_eq!(own.read("actor.key"), before);
+}
+
+#[test]
+fn a_disk_without_space_leaves_no_folder_of_certificates() {
+    let runs = Runs::new();
+    let folder = runs.folder("own");
+    // No file may have a byte.
+    let limited = ["-c", "ulimit -f 0; exec \"$0\" \"$@\""];
+    let line = failure(&mut under("sh", &limited, &command(&["certs", text(&folder)])), 1);
+    assert!(line.contains("ca.pem"), "{line}");
+    assert!(!folder.exists());
+    Certificates::make(folder);
 }
 
 #[test]
