@@ -49,6 +49,7 @@ pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
 pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
     let of = &learner.of;
     let Some(url) = url(learner)? else {
+        run_path::demand_run(Path::new(of))?;
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };

@@ -99,6 +99,7 @@ fn commands_that_read_runs_refuse_what_is_none() {
         "status",
         "serve",
         "watch",
+        "stop",
         "train --resume",
         "verify",
         "pack",
