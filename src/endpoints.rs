@@ -30,7 +30,8 @@ pub(crate) fn demand_loopback(
     address: SocketAddr,
     permission: &str,
 ) -> Result<(), Usage> {
-    if address.ip().is_loopback() {
+    // As for clients, loopback includes 127.0.0.0/8 in the form of IPv6.
+    if address.ip().to_canonical().is_loopback() {
         return Ok(());
     }
     Err(Usage::new(format!(
@@ -180,10 +181,10 @@ impl PageAccess {
 ///
 /// # Errors
 /// The variable contains no token.
-pub(crate) fn token_of_environment() -> anyhow::Result<Option<Token>> {
+pub(crate) fn token_of_environment() -> Result<Option<Token>, Usage> {
     let Some(text) = std::env::var_os(Token::VARIABLE) else { return Ok(None) };
     let token = Token::parse(&text.to_string_lossy());
-    Ok(Some(token.with_context(|| format!("cannot use {}", Token::VARIABLE))?))
+    token.map(Some).map_err(|why| Usage::new(format!("cannot use {}: {why}", Token::VARIABLE)))
 }
 
 /// The token of the run in `folder`, else that in `S2MIA_TOKEN`, if either exists.
@@ -193,7 +194,7 @@ pub(crate) fn token_of_environment() -> anyhow::Result<Option<Token>> {
 pub(crate) fn token_for_run(folder: &Path) -> anyhow::Result<Option<Token>> {
     match RunFolder::token(folder)? {
         Some(token) => Ok(Some(token)),
-        None => token_of_environment(),
+        None => Ok(token_of_environment()?),
     }
 }
 
@@ -300,12 +301,12 @@ mod tests {
 
     #[test]
     fn only_this_machine_reaches_plain_text_and_the_page_without_permission() {
-        for page in ["127.0.0.1:8080", "[::1]:0"] {
+        for page in ["127.0.0.1:8080", "[::1]:0", "[::ffff:127.0.0.1]:0"] {
             assert!(demand_loopback("--listen", page.parse().unwrap(), "").is_ok(), "{page}");
             assert!(arguments(page).check(None).is_ok(), "{page}");
         }
         assert!(arguments("off").check(None).is_ok());
-        for page in ["0.0.0.0:8080", "192.168.1.2:1", "[::]:0"] {
+        for page in ["0.0.0.0:8080", "192.168.1.2:1", "[::]:0", "[::ffff:10.0.0.1]:0"] {
             assert!(demand_loopback("--listen", page.parse().unwrap(), "").is_err(), "{page}");
             let refused = arguments(page).check(None).unwrap_err().to_string();
             assert!(refused.contains("--insecure-allow-remote-page"), "{refused}");

@@ -20,9 +20,9 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity
 use tonic::{Code, Request, Status, Streaming};
 
 use crate::config::{ActorConfig, Transport};
+use crate::diagnosis;
 use crate::error::{ActorError, EnvironmentError, causes};
 
-mod diagnosis;
 mod environment;
 mod weights;
 
@@ -31,6 +31,8 @@ pub(crate) use weights::WeightsCache;
 
 /// Deadline of calls that the learner answers immediately.
 const CALL_DEADLINE: Duration = Duration::from_secs(10);
+/// Deadline of a second connection, which finds the reason why the first one failed.
+const DIAGNOSIS_DEADLINE: Duration = Duration::from_secs(5);
 /// Longest time for which the learner may hold a lease request.
 const LEASE_WAIT_MILLIS: u32 = 10_000;
 /// Largest HTTP/2 frame, bytes. Weights need fewer frames than with the default of 16 KiB.
@@ -201,9 +203,12 @@ pub(crate) async fn explained(error: ActorError, config: &ActorConfig) -> ActorE
     let why = match (&config.transport, security::explain(status)) {
         (_, Some(why)) => Some(why),
         (_, None) if !broken => None,
-        (Transport::Tls(tls), None) => diagnosis::on_certificates(&config.learner, tls).await,
-        (Transport::PlainText | Transport::PlainTextOnLoopback, None) => {
-            diagnosis::on_plain_text(&config.learner).await
+        (transport, None) => {
+            let tls = match transport {
+                Transport::Tls(tls) => Some(tls),
+                Transport::PlainText | Transport::PlainTextOnLoopback => None,
+            };
+            diagnosis::reason(&config.learner, tls, DIAGNOSIS_DEADLINE).await
         }
     };
     match why {

@@ -84,8 +84,8 @@ pub fn check_environment(url: &str, transport: &Transport) -> Result<(), ActorEr
     match parsed.scheme_str() {
         Some("http") if local || matches!(transport, Transport::PlainText) => Ok(()),
         Some("http") => wrong(
-            "it is on another machine, and the connection is plain text; start it on this machine, or pass \
-             --insecure-allow-remote to learner and actor",
+            "it is on another machine, and the connection is plain text; start it on this machine, or use \
+             `s2mia learner` and `s2mia actor` with --insecure-allow-remote",
         ),
         _ => wrong("write http://HOST:PORT"),
     }
@@ -108,6 +108,14 @@ mod tests {
             log: None,
         };
         config.validate().map_or_else(|error| error.to_string(), |()| "accepted".to_owned())
+    }
+
+    #[test]
+    fn the_refusal_of_an_environment_names_the_commands_that_can_allow_it() {
+        let checked = check_environment("http://10.0.0.9:2", &Transport::PlainTextOnLoopback);
+        let line = checked.unwrap_err().to_string();
+        let advice = "or use `s2mia learner` and `s2mia actor` with --insecure-allow-remote";
+        assert!(line.ends_with(advice), "{line}");
     }
 
     #[test]

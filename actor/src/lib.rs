@@ -7,6 +7,7 @@
 
 mod client;
 pub mod config;
+pub mod diagnosis;
 pub mod error;
 mod leasing;
 mod outside;

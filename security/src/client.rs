@@ -9,7 +9,7 @@ use rustls::pki_types::{ServerName, UnixTime};
 use rustls::sign::SingleCertAndKey;
 
 use crate::error::SecurityError;
-use crate::files::{IdentityFiles, authorities, certified_key, provider, read, unusable};
+use crate::files::{IdentityFiles, Purpose, authorities, certified_key, provider, read, unusable};
 
 /// The certificates of a client, in PEM form, which were valid when they were read.
 #[derive(Clone)]
@@ -45,7 +45,7 @@ impl ClientTls {
         let certificate = read(&own.certificate)?;
         let key = read(&own.key)?;
         let learners = authorities(authority, &trusted, now)?;
-        let pair = certified_key(own, &certificate, &key, now)?;
+        let pair = certified_key(own, &certificate, &key, Purpose::Client, now)?;
         let config = ClientConfig::builder_with_provider(Arc::new(provider()))
             .with_protocol_versions(&[&rustls::version::TLS13])
             .map_err(|error| unusable(authority, "certificate", error.to_string()))?

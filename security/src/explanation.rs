@@ -3,7 +3,9 @@
 use std::error::Error;
 use std::io;
 
-use rustls::{AlertDescription, CertificateError, InvalidMessage};
+use rustls::{AlertDescription, CertificateError, InvalidMessage, OtherError};
+
+use crate::files::{Purpose, expired, not_valid_yet};
 
 /// Explanation, for the user of a client, of the TLS error that `error` is or comes from. `None` if there is no TLS
 /// error, and for transient ones, such as corrupted data, after which a retry may succeed.
@@ -48,8 +50,25 @@ fn reason(why: &CertificateError) -> String {
         CertificateError::UnknownIssuer | CertificateError::BadSignature => {
             "the authority given with --tls-ca has not signed it".to_owned()
         }
+        CertificateError::ExpiredContext { time, not_after } => {
+            format!("it {}", expired(*not_after, *time))
+        }
+        CertificateError::NotValidYetContext { time, not_before } => {
+            format!("it {}", not_valid_yet(*not_before, *time))
+        }
+        CertificateError::InvalidPurposeContext { .. } => {
+            format!("it is not for {} (its extended key usage)", Purpose::Server.name())
+        }
+        CertificateError::Other(OtherError(why)) if is_of_authority(why.as_ref()) => {
+            "it is that of an authority; the learner must present one that the authority has signed"
+                .to_owned()
+        }
         other => other.to_string(),
     }
+}
+
+fn is_of_authority(why: &(dyn Error + Send + Sync + 'static)) -> bool {
+    matches!(why.downcast_ref::<webpki::Error>(), Some(webpki::Error::CaUsedAsEndEntity))
 }
 
 fn refusal(alert: AlertDescription) -> Option<&'static str> {
@@ -69,6 +88,12 @@ fn refusal(alert: AlertDescription) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    use rustls::ExtendedKeyPurpose;
+    use rustls::pki_types::UnixTime;
+
     use super::*;
 
     fn explained(error: rustls::Error) -> Option<String> {
@@ -84,6 +109,31 @@ mod tests {
         assert_eq!(explained(AlertReceived(AlertDescription::BadRecordMac)), None);
         assert_eq!(explained(rustls::Error::DecryptError), None);
         assert_eq!(explain(&io::Error::from(io::ErrorKind::ConnectionReset)), None);
+    }
+
+    #[test]
+    fn a_certificate_that_the_learner_must_not_present_is_refused_with_the_reason() {
+        let at = |day: u64| UnixTime::since_unix_epoch(Duration::from_secs(day * 86_400));
+        let expired = CertificateError::ExpiredContext { time: at(2), not_after: at(1) };
+        let early = CertificateError::NotValidYetContext { time: at(1), not_before: at(2) };
+        let (required, presented) = (ExtendedKeyPurpose::ServerAuth, Vec::new());
+        let purpose = CertificateError::InvalidPurposeContext { required, presented };
+        let authority = OtherError(Arc::new(webpki::Error::CaUsedAsEndEntity));
+        for (error, words) in [
+            (expired, "it expired at 1970-01-02 00:00:00 UTC (it is 1970-01-03 00:00:00 UTC)"),
+            (
+                early,
+                "it is valid from 1970-01-03 00:00:00 UTC only (it is 1970-01-02 00:00:00 UTC)",
+            ),
+            (purpose, "it is not for server authentication (its extended key usage)"),
+            (
+                CertificateError::Other(authority),
+                "it is that of an authority; the learner must present one that the authority has signed",
+            ),
+        ] {
+            let line = explained(rustls::Error::InvalidCertificate(error)).unwrap();
+            assert_eq!(line, format!("the learner's certificate is refused: {words}"));
+        }
     }
 
     #[test]

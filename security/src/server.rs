@@ -9,7 +9,9 @@ use rustls::server::{NoServerSessionStorage, WebPkiClientVerifier};
 use rustls::sign::SingleCertAndKey;
 
 use crate::error::SecurityError;
-use crate::files::{IdentityFiles, authorities, certified_key, provider, read, unusable};
+use crate::files::{
+    IdentityFiles, Purpose, certified_key, client_authorities, provider, read, unusable,
+};
 
 /// ALPN name of the protocol of all gRPC calls.
 const HTTP_2: &[u8] = b"h2";
@@ -28,8 +30,9 @@ impl ServerTls {
     /// Names the first invalid file.
     pub fn read(own: &IdentityFiles, client_authority: &Path) -> Result<Self, SecurityError> {
         let now = UnixTime::now();
-        let pair = certified_key(own, &read(&own.certificate)?, &read(&own.key)?, now)?;
-        let clients = authorities(client_authority, &read(client_authority)?, now)?;
+        let pair =
+            certified_key(own, &read(&own.certificate)?, &read(&own.key)?, Purpose::Server, now)?;
+        let clients = client_authorities(client_authority, &read(client_authority)?, now)?;
         let provider = Arc::new(provider());
         let refused = |error: &dyn std::error::Error, path: &Path| {
             unusable(path, "certificate", error.to_string())

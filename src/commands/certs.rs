@@ -1,6 +1,6 @@
 //! `s2mia certs`: writes a new certificate authority and a certificate for each role.
 
-use std::fs::DirBuilder;
+use std::fs::{self, DirBuilder};
 use std::net::IpAddr;
 use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
@@ -42,6 +42,11 @@ fn host(text: &str) -> Result<String, String> {
     Err("must be host names or addresses without a port".to_owned())
 }
 
+/// File of the authority's certificate.
+const AUTHORITY: &str = "ca.pem";
+/// Name of the learner's files.
+const SERVER: &str = "server";
+
 /// Only the owner may list the folder.
 const PRIVATE_FOLDER: u32 = 0o700;
 
@@ -55,14 +60,37 @@ pub(super) fn run(arguments: &CertsArguments) -> anyhow::Result<()> {
     let server = issuer
         .server(&arguments.names)
         .map_err(|error| Usage::new(format!("--names {}: {error}", arguments.names.join(","))))?;
+    let is_new = !folder.exists();
     make_empty(folder)?;
-    durable::replace(&folder.join("ca.pem"), issuer.certificate().as_bytes())?;
-    write_pair(folder, "server", &server)?;
-    for role in Role::ALL {
-        write_pair(folder, role.name(), &issuer.client(&[role])?)?;
+    if let Err(error) = write_all(folder, &issuer, &server) {
+        discard(folder);
+        if is_new {
+            // What was not removed stays, and the folder with it.
+            let _removed = fs::remove_dir(folder);
+        }
+        return Err(error);
     }
     output::line(instructions(folder));
     Ok(())
+}
+
+fn write_all(folder: &Path, issuer: &Issuer, server: &Issued) -> anyhow::Result<()> {
+    durable::replace(&folder.join(AUTHORITY), issuer.certificate().as_bytes())?;
+    write_pair(folder, SERVER, server)?;
+    for role in Role::ALL {
+        write_pair(folder, role.name(), &issuer.client(&[role])?)?;
+    }
+    Ok(())
+}
+
+/// Removes the files of a call that failed, as on a full disk, because the next call needs an empty folder.
+fn discard(folder: &Path) {
+    let pairs = Role::ALL.map(Role::name).into_iter().chain([SERVER]);
+    let files = pairs.flat_map(|name| [format!("{name}.pem"), format!("{name}.key")]);
+    for file in files.chain([AUTHORITY.to_owned()]) {
+        // A file that was not written cannot be removed.
+        let _removed = fs::remove_file(folder.join(file));
+    }
 }
 
 fn make_empty(folder: &Path) -> anyhow::Result<()> {
@@ -101,6 +129,21 @@ fn instructions(folder: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_call_that_fails_after_some_files_leaves_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let issuer = Issuer::new(SystemTime::now(), YEAR).unwrap();
+        let server = issuer.server(&["localhost".to_owned()]).unwrap();
+        // A file cannot replace a folder.
+        let obstacle = folder.path().join("operator.key");
+        fs::create_dir(&obstacle).unwrap();
+        assert!(write_all(folder.path(), &issuer, &server).is_err());
+        let count = || folder.path().read_dir().unwrap().count();
+        assert!(count() > 1);
+        discard(folder.path());
+        assert!(obstacle.is_dir() && count() == 1);
+    }
 
     #[test]
     fn a_certificate_is_for_host_names_and_addresses() {

@@ -1,13 +1,15 @@
 //! `s2mia status`, `s2mia health` and `s2mia stop`, and how commands find a running learner.
 
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::time::Duration;
 
 use clap::Args;
+use learner::serve::health::{HealthError, demand_serving};
 use learner::serve::service::Operator;
 use learner::store::run_folder::RunFolder;
 use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
-use security::addresses;
+use security::{ClientTls, addresses};
 use serde_json::json;
 
 use crate::endpoints::{ClientTlsArguments, credentials, token_for_run};
@@ -47,12 +49,14 @@ pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
 pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
     let of = &learner.of;
     let Some(url) = url(learner)? else {
+        run_path::demand_run(Path::new(of))?;
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
-    runtime()?.block_on(async {
-        operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from)
-    })?;
+    demand_sent_token(&url, learner)?;
+    let stopped =
+        async { operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from) };
+    answered(stopped, &learner.tls, learner.timeout_secs)?;
     output::line(format!("{of} stops after a checkpoint"));
     Ok(())
 }
@@ -71,7 +75,21 @@ pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     if !Path::new(of).is_dir() {
         return Err(Usage::new(format!("`{of}` is no run folder, URL or HOST:PORT")).into());
     }
-    Ok(RunFolder::listening(Path::new(of))?.as_deref().map(with_scheme))
+    Ok(RunFolder::listening(Path::new(of))?.map(|address| with_scheme(&reachable(&address))))
+}
+
+/// Where this machine reaches a learner that listens on `address`: on loopback, if it listens on all addresses.
+fn reachable(address: &str) -> String {
+    match address.parse::<SocketAddr>() {
+        Ok(all) if all.ip().is_unspecified() => {
+            let loopback: IpAddr = match all.ip() {
+                IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+                IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+            };
+            SocketAddr::new(loopback, all.port()).to_string()
+        }
+        _ => address.to_owned(),
+    }
 }
 
 /// The URL or `HOST:PORT` that the argument is; `None` for a folder.
@@ -85,10 +103,53 @@ pub(super) fn address(of: &str) -> Option<&str> {
 /// A connection to the learner at `url`.
 pub(super) async fn operator(url: &str, learner: &LearnerArgument) -> anyhow::Result<Operator> {
     let tls = credentials(url, &learner.tls)?;
-    // Plain text to another machine would show the token to the network.
-    let is_private = tls.is_some() || addresses::is_loopback(addresses::host(url));
-    let token = token_for_run(Path::new(&learner.of))?.filter(|_| is_private);
+    let token = token_for_run(Path::new(&learner.of))?.filter(|_| is_private(url, tls.as_ref()));
     Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), learner.timeout_secs).await?)
+}
+
+/// Whether the network cannot read a token that is sent to `url`.
+fn is_private(url: &str, tls: Option<&ClientTls>) -> bool {
+    tls.is_some() || addresses::is_loopback(addresses::host(url))
+}
+
+/// Refuses a call that needs the token if there is one that is not sent, because the network could read it.
+fn demand_sent_token(url: &str, learner: &LearnerArgument) -> anyhow::Result<()> {
+    let tls = credentials(url, &learner.tls)?;
+    if is_private(url, tls.as_ref()) || token_for_run(Path::new(&learner.of))?.is_none() {
+        return Ok(());
+    }
+    let why = "the token is not sent in plain text to another machine; run `s2mia stop` on the learner's machine \
+               with http://127.0.0.1:PORT, or use certificates";
+    Err(Usage::new(format!("{url}: {why}")).into())
+}
+
+/// Waits for the answer to a call.
+fn answered<T>(
+    call: impl Future<Output = anyhow::Result<T>>,
+    tls: &ClientTlsArguments,
+    timeout: Duration,
+) -> anyhow::Result<T> {
+    runtime()?.block_on(async {
+        match call.await {
+            Err(error) => Err(explained(error, tls, timeout).await),
+            answer => answer,
+        }
+    })
+}
+
+/// Replaces the error of a broken connection by its reason if the TLS settings of the two sides do not match. A second
+/// connection finds it within `timeout`.
+pub(super) async fn explained(
+    error: anyhow::Error,
+    tls: &ClientTlsArguments,
+    timeout: Duration,
+) -> anyhow::Error {
+    let Some(HealthError::Unreachable { url, .. }) = error.downcast_ref() else { return error };
+    let Ok(tls) = credentials(url, tls) else { return error };
+    match actor::diagnosis::reason(url, tls.as_ref(), timeout).await {
+        Some(why) => HealthError::no_session(url, &why).into(),
+        None => error,
+    }
 }
 
 /// `s2mia status`
@@ -105,10 +166,9 @@ pub(crate) struct StatusArguments {
 /// Prints one line and a table of leases, or one JSON object.
 pub(super) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     let Some(url) = url(&arguments.learner)? else { return at_rest(arguments) };
-    let status = runtime()?.block_on(async {
-        let mut operator = operator(&url, &arguments.learner).await?;
-        anyhow::Ok(operator.status().await?)
-    })?;
+    let learner = &arguments.learner;
+    let status = async { anyhow::Ok(operator(&url, learner).await?.status().await?) };
+    let status = answered(status, &learner.tls, learner.timeout_secs)?;
     if arguments.json {
         output::line(learner::lease::exchange::status_json(&status));
     } else {
@@ -237,12 +297,10 @@ pub(crate) struct HealthArguments {
 /// Ends with status 0 if the learner serves, else with a one-line reason.
 pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
     let tls = credentials(&arguments.learner, &arguments.tls)?;
-    let asked = learner::serve::health::demand_serving(
-        &arguments.learner,
-        tls.as_ref(),
-        arguments.timeout_secs,
-    );
-    runtime()?.block_on(asked)?;
+    let (url, timeout) = (&arguments.learner, arguments.timeout_secs);
+    let asked =
+        async { demand_serving(url, tls.as_ref(), timeout).await.map_err(anyhow::Error::from) };
+    answered(asked, &arguments.tls, timeout)?;
     output::line(format!("{} serves", arguments.learner));
     Ok(())
 }
@@ -250,6 +308,18 @@ pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_learner_on_all_addresses_is_reached_on_loopback() {
+        for (address, expected) in [
+            ("0.0.0.0:50051", "127.0.0.1:50051"),
+            ("[::]:50051", "[::1]:50051"),
+            ("10.0.0.5:50051", "10.0.0.5:50051"),
+            ("[::1]:50051", "[::1]:50051"),
+        ] {
+            assert_eq!(reachable(address), expected);
+        }
+    }
 
     #[test]
     fn times_that_no_deadline_can_have_are_refused() {

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use actor::Transport;
 use anyhow::Context as _;
 use clap::Args;
-use security::ServerTls;
+use security::{ServerTls, Token};
 use tokio::sync::watch;
 
 use crate::endpoints::{self, Listening, PageArguments, ServerTlsArguments};
@@ -47,6 +47,7 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     let listening = Listening::new(arguments.listen, &arguments.tls)?;
     let page_tls = listening.tls.as_ref().filter(|_| arguments.page_tls).map(ServerTls::for_page);
     arguments.page.check(page_tls.as_ref())?;
+    let token = endpoints::token_of_environment()?;
     let (runtime, (stop_sender, stop)) = (runtime()?, watch::channel(false));
     // Before the launch, which takes a moment, so that a stop is never lost.
     runtime.block_on(async {
@@ -54,7 +55,7 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     })?;
     let prepared =
         run::prepare_or_resume(&arguments.settings, &arguments.resume, &plain_text(arguments))?;
-    runtime.block_on(serve(prepared, listening, page_tls, arguments, stop))
+    runtime.block_on(serve(prepared, (listening, token), page_tls, arguments, stop))
 }
 
 /// The machines on which an external environment may run.
@@ -68,13 +69,12 @@ fn plain_text(arguments: &LearnerArguments) -> Transport {
 
 async fn serve(
     prepared: PreparedRun,
-    listening: Listening,
+    (listening, token): (Listening, Option<Token>),
     page_tls: Option<ServerTls>,
     arguments: &LearnerArguments,
     stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     let PreparedRun { config, folder, launch, new: _new } = prepared;
-    let token = endpoints::token_of_environment()?;
     let (mut listener, url) = listening.open().await?;
     if let Some(token) = token {
         listener = listener.with_token(token, &folder);

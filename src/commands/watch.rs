@@ -9,7 +9,9 @@ use learner::serve::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::json;
 
-use crate::commands::control::{AtRest, LearnerArgument, operator, seconds, unsaved, url};
+use crate::commands::control::{
+    AtRest, LearnerArgument, explained, operator, seconds, unsaved, url,
+};
 use crate::errors::Usage;
 use crate::figures::chart::thousands;
 use crate::process::{output, runtime, shell};
@@ -53,15 +55,18 @@ impl<'a> Watch<'a> {
     /// One learner after the other; gives up when none has been reached for as long as an outage may last.
     async fn until_the_end(mut self) -> anyhow::Result<()> {
         let outage = self.arguments.max_outage_secs;
+        let LearnerArgument { tls, timeout_secs, .. } = &self.arguments.learner;
         // Once for each learner that has gone.
         let mut reported = None;
         loop {
             let missing = match self.session().await {
                 Ok(RunEnd::Finished | RunEnd::StoppedByClient) => return Ok(()),
                 Ok(RunEnd::Stopped) => anyhow::anyhow!("the learner has ended"),
-                Err(error) if is_final(&error) => return Err(error),
-                Err(error) => error,
+                Err(error) => explained(error, tls, *timeout_secs).await,
             };
+            if is_final(&missing) {
+                return Err(missing);
+            }
             if self.reached.elapsed() >= outage {
                 return Err(missing);
             }
@@ -129,7 +134,9 @@ impl<'a> Watch<'a> {
 
 /// Whether another try would end in the same way.
 fn is_final(error: &anyhow::Error) -> bool {
-    let refused = |error: &HealthError| !matches!(error, HealthError::Unreachable { .. });
+    let refused = |error: &HealthError| {
+        matches!(error, HealthError::Final(_) | HealthError::InvalidUrl { .. })
+    };
     error.is::<Usage>() || error.downcast_ref().is_some_and(refused)
 }
 

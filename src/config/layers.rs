@@ -2,6 +2,8 @@
 //! bring a key that neither `configs/base.toml` nor an algorithm's file has.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
@@ -268,13 +270,18 @@ fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
 fn read(path: &Path) -> Result<(String, String), ConfigError> {
     let place = path.display().to_string();
     let unreadable = |error| ConfigError::at(&place, error);
-    let size = std::fs::metadata(path).map_err(unreadable)?.len();
-    if size > FILE_LIMIT_BYTES {
-        let detail = format!("{size} bytes, the limit is {FILE_LIMIT_BYTES}");
+    let file = File::open(path).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    // A pipe or a device does not tell its size.
+    file.take(FILE_LIMIT_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    if bytes.len() as u64 > FILE_LIMIT_BYTES {
+        let detail = format!("it has more than {FILE_LIMIT_BYTES} bytes");
         return Err(ConfigError::at(place, detail));
     }
-    let text = std::fs::read_to_string(path).map_err(unreadable)?;
-    Ok((place, text))
+    match String::from_utf8(bytes) {
+        Ok(text) => Ok((place, text)),
+        Err(_) => Err(ConfigError::at(place, "it is not UTF-8 text")),
+    }
 }
 
 fn table_layer(place: &str, text: &str) -> Result<SettingsLayer, ConfigError> {

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use crate::processes::{Background, Learner};
-use crate::runs::{Runs, SHORT, command, inspect, refused, s2mia, succeeded, text, told, words};
+use crate::runs::{
+    Runs, SHORT, command, failure, inspect, refused, s2mia, succeeded, text, told, under, words,
+};
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::wire::policy_service_client::PolicyServiceClient;
 use proto::wire::{DescribePolicyRequest, DescribeRunRequest};
@@ -95,14 +97,12 @@ fn a_run_over_tls_ends_in_the_same_state_in_spite_of_rejected_peers() {
         assert_ne!(code, Some(0), "{text}");
         assert!(text.contains(words) && text.lines().count() == 1, "{words}: {text}");
     }
-    for question in [&["status", &unguarded][..], &["health", "--learner", &unguarded]] {
-        let (_, text) = asked(question, &[]);
-        assert!(text.contains("requires TLS") && text.contains("pass --tls-ca"), "{text}");
+    let health = ["health", "--learner", &unguarded];
+    for question in [&["status", &unguarded][..], &health, &["watch", &unguarded]] {
+        let (code, text) = asked(question, &[]);
+        assert!(code == Some(1) && text.lines().count() == 1, "{text}");
+        assert!(text.contains("requires TLS; use https:// with --tls-ca"), "{text}");
     }
-    let (_, text) = asked(&["status", &learner.url], &other.of_client(&own, "operator"));
-    let names_the_certificate =
-        ["another authority", "not accept this client certificate"].map(|why| text.contains(why));
-    assert!(names_the_certificate.contains(&true), "{text}");
 
     let text = learner.finish(&words(&actors));
     for words in [
@@ -132,14 +132,17 @@ fn over_tls_the_role_in_the_certificate_determines_the_allowed_calls() {
     let (no_files, strangers) = (Vec::new(), other.of_client(&own, "operator"));
     let needs_certificates = "needs --tls-ca, --tls-certificate and --tls-key";
     let needs_operator = "needs the role operator; the certificate carries actor";
-    let cases: [(&[&str], &[String], i32, &str); 11] = [
+    let cases: [(&[&str], &[String], i32, &str); 14] = [
         (&stop, &of("actor"), 1, needs_operator),
         (&["watch", &url], &of("actor"), 1, needs_operator),
         (&status, &of("actor"), 1, needs_operator),
         (&status, &of("operator"), 0, "iteration 0"),
         (&["status", text(&run)], &of("operator"), 0, "iteration 0"),
         (&health, &of("actor"), 0, "serves"),
-        (&health, &strangers, 1, "does not answer"),
+        (&health, &strangers, 1, "another authority has signed it"),
+        (&status, &strangers, 1, "another authority has signed it"),
+        (&["watch", &url], &strangers, 1, "another authority has signed it"),
+        (&["watch", &url], &own.of_client(&other, "operator"), 1, "--tls-ca has not signed it"),
         (&status, &no_files, 2, needs_certificates),
         (&health, &no_files, 2, needs_certificates),
         (&["status", &plain], &of("operator"), 2, "begins with https://"),
@@ -232,28 +235,50 @@ fn keys_are_readable_by_their_owner_only_and_never_overwritten() {
 }
 
 #[test]
+fn a_disk_without_space_leaves_no_folder_of_certificates() {
+    let runs = Runs::new();
+    let folder = runs.folder("own");
+    // No file may have a byte.
+    let limited = ["-c", "ulimit -f 0; exec \"$0\" \"$@\""];
+    let line = failure(&mut under("sh", &limited, &command(&["certs", text(&folder)])), 1);
+    assert!(line.contains("ca.pem"), "{line}");
+    assert!(!folder.exists());
+    Certificates::make(folder);
+}
+
+#[test]
 fn an_invalid_file_is_reported_in_one_line_with_its_name() {
     let runs = Runs::new();
     let own = Certificates::make(runs.folder("own"));
     let issuer = Issuer::new(SystemTime::UNIX_EPOCH + DAY, DAY).unwrap();
     own.write("old", &issuer.client(&[Role::Actor]).unwrap());
-    for (certificate, key, words) in [
-        ("none.pem", "actor.key", "cannot read"),
-        ("actor.key", "actor.key", "holds no certificate in PEM form"),
-        ("actor.pem", "operator.key", "does not fit the certificate"),
-        ("old.pem", "old.key", "expired at 1970-01-03 00:00:00 UTC"),
+    let authority = own.file("ca.pem");
+    let learner = ["learner", "--tls-client-ca", &authority];
+    let actor = ["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority];
+    for (role, own_name, other_name, not_for) in [
+        (&learner[..], "server", "actor", "is not for server authentication"),
+        (&actor[..], "actor", "server", "is not for client authentication"),
     ] {
-        let authority = own.file("ca.pem");
-        let (certificate, key) = (own.file(certificate), own.file(key));
-        let files = ["--tls-certificate", &certificate, "--tls-key", &key];
-        for role in [
-            &["learner", "--tls-client-ca", &authority][..],
-            &["actor", "--learner", "https://127.0.0.1:1", "--tls-ca", &authority],
+        let pem = |name: &str| own.file(&format!("{name}.pem"));
+        let key = |name: &str| own.file(&format!("{name}.key"));
+        for (certificate, key, words) in [
+            (pem("none"), key(own_name), "cannot read"),
+            (key(own_name), key(own_name), "holds no certificate in PEM form"),
+            (pem(own_name), key("operator"), "does not fit the certificate"),
+            (pem("old"), key("old"), "expired at 1970-01-03 00:00:00 UTC"),
+            (pem(other_name), key(other_name), not_for),
+            (pem("ca"), key(own_name), "is that of an authority"),
         ] {
+            let files = ["--tls-certificate", &certificate, "--tls-key", &key];
             let line = refused(&[role, &files].concat());
             assert!(line.contains(words), "{words}: {line}");
         }
     }
+    let operators = own.file("operator.pem");
+    let (certificate, key) = (own.file("server.pem"), own.file("server.key"));
+    let files = ["--tls-certificate", &certificate, "--tls-key", &key];
+    let line = refused(&[&["learner", "--tls-client-ca", &operators][..], &files].concat());
+    assert!(line.contains("operator.pem holds a certificate that is no authority"), "{line}");
 }
 
 #[test]

@@ -36,9 +36,24 @@ fn invalid_arguments_give_one_line_and_status_two() {
         ),
         (&["stop", "https://localhost:1"], "--tls-ca"),
         (&["stop", "no/such/run"], "no/such/run"),
+        (&["status", "http://"], "`http://` is not a URL such as http://HOST:50051"),
+        (&["watch", "ftp://x:1"], "it begins with neither http:// nor https://"),
+        (&["stop", "127.0.0.1:99999"], "the port 99999 is not a number from 0 to 65535"),
+        (&["health", "--learner", "localhost:1"], "is not a URL such as http://HOST:50051"),
     ] {
         let line = refused(arguments);
         assert!(line.contains(part), "{arguments:?}: {line}");
+    }
+}
+
+#[test]
+fn an_invalid_token_in_the_environment_gives_one_line_and_status_two() {
+    for arguments in [&["stop", "http://127.0.0.1:1"][..], &["actor"], &["learner"]] {
+        for token in ["", "abc"] {
+            let line = failure(command(arguments).env("S2MIA_TOKEN", token), 2);
+            let expected = "cannot use S2MIA_TOKEN: a token has 64 hexadecimal digits";
+            assert!(line.contains(expected), "{arguments:?}: {line}");
+        }
     }
 }
 
@@ -84,6 +99,7 @@ fn commands_that_read_runs_refuse_what_is_none() {
         "status",
         "serve",
         "watch",
+        "stop",
         "train --resume",
         "verify",
         "pack",

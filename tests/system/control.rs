@@ -6,7 +6,9 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::processes::{Background, Learner, has_begun};
-use crate::runs::{Runs, command, error, failed, inspect, s2mia, status, succeeded, text, tiny};
+use crate::runs::{
+    Runs, command, error, failed, failure, inspect, s2mia, status, succeeded, text, tiny,
+};
 
 const THIRTY: &str = "run.iterations=30";
 
@@ -38,6 +40,28 @@ fn a_stop_without_the_token_is_refused_and_the_run_continues() {
         assert!(line.contains("has no token") && line.contains(text(&token)), "{told}");
     }
     assert_eq!(status(&url)["state"], "running", "the status needs no token");
+    succeeded(&["stop", text(&folder)]);
+    run.rest();
+}
+
+#[test]
+fn a_token_is_not_sent_in_plain_text_to_another_machine() {
+    let mut stop = command(&["stop", "http://192.0.2.1:50051"]);
+    let line = failure(stop.env("S2MIA_TOKEN", "a".repeat(64)), 2);
+    let advice =
+        "not sent in plain text to another machine; run `s2mia stop` on the learner's machine";
+    assert!(line.contains(advice), "{line}");
+}
+
+#[test]
+fn a_learner_on_all_addresses_is_stopped_by_its_folder_and_token() {
+    let runs = Runs::new();
+    let folder = runs.folder("reachable");
+    let everywhere = ["--listen=0.0.0.0:0", "--insecure-allow-remote"];
+    let mut learner = tiny("learner", &folder, &everywhere);
+    let mut run = Background::start(learner.env("S2MIA_TOKEN", "a".repeat(64)));
+    // It answers only when the folder has its address.
+    status(&run.url());
     succeeded(&["stop", text(&folder)]);
     run.rest();
 }

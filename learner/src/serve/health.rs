@@ -18,7 +18,7 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Why a learner is not healthy, or why a call to it failed.
 #[derive(Debug, thiserror::Error)]
 pub enum HealthError {
-    /// The learner cannot be reached or did not respond.
+    /// The learner cannot be reached, or the connection broke.
     #[error("{url} does not answer: {detail}")]
     Unreachable {
         /// URL of the learner.
@@ -26,9 +26,34 @@ pub enum HealthError {
         /// The reason.
         detail: String,
     },
-    /// The URL is invalid, or the learner rejected the call or reports another status than `SERVING`.
+    /// The learner did not respond in time.
+    #[error("{url} does not answer: no response within {} s", .timeout.as_secs_f64())]
+    TimedOut {
+        /// URL of the learner.
+        url: String,
+        /// The timeout.
+        timeout: Duration,
+    },
+    /// The URL is invalid.
+    #[error("`{url}` is not a URL such as http://HOST:50051: {detail}")]
+    InvalidUrl {
+        /// The URL.
+        url: String,
+        /// The reason.
+        detail: String,
+    },
+    /// The TLS settings of the two sides do not match, or the learner rejected the call or reports another status than
+    /// `SERVING`. A retry fails, too.
     #[error("{0}")]
     Final(String),
+}
+
+impl HealthError {
+    /// There is no connection to `url`, because the TLS settings of the two sides do not match.
+    #[must_use]
+    pub fn no_session(url: &str, why: &str) -> Self {
+        Self::Final(format!("no session with {url}: {why}"))
+    }
 }
 
 /// Checks once that the learner at `url` reports `SERVING`, within `timeout`, over TLS with `tls`.
@@ -56,9 +81,7 @@ pub async fn demand_serving(
 
 /// The endpoint at `url`, with the client certificate of `tls`.
 fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
-    let wrong = |detail: String| {
-        HealthError::Final(format!("`{url}` is not a URL such as http://HOST:50051: {detail}"))
-    };
+    let wrong = |detail: String| HealthError::InvalidUrl { url: url.to_owned(), detail };
     let invalid = |error: tonic::transport::Error| wrong(innermost(&error));
     security::addresses::check_port(url).map_err(|port| wrong(port.to_string()))?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
@@ -86,9 +109,9 @@ pub(crate) async fn connect(
         .keep_alive_timeout(KEEPALIVE_TIMEOUT)
         .keep_alive_while_idle(true);
     match tokio::time::timeout(timeout, endpoint.connect()).await {
-        Ok(connected) => connected.map_err(|error| {
-            let detail = security::explain(&error).unwrap_or_else(|| innermost(&error));
-            HealthError::Unreachable { url: url.to_owned(), detail }
+        Ok(connected) => connected.map_err(|error| match security::explain(&error) {
+            Some(why) => HealthError::no_session(url, &why),
+            None => HealthError::Unreachable { url: url.to_owned(), detail: innermost(&error) },
         }),
         Err(_) => Err(timed_out(url, timeout)),
     }
@@ -107,12 +130,14 @@ pub(crate) async fn answered<T>(
 }
 
 fn timed_out(url: &str, timeout: Duration) -> HealthError {
-    let detail = format!("no response within {} s", timeout.as_secs_f64());
-    HealthError::Unreachable { url: url.to_owned(), detail }
+    HealthError::TimedOut { url: url.to_owned(), timeout }
 }
 
-/// The error for a failed call: rejected by the learner at `url`, or lost in transit.
+/// The error for a failed call: rejected by the learner at `url`, refused by TLS, or lost in transit.
 pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
+    if let Some(why) = security::explain(status) {
+        return HealthError::no_session(url, &why);
+    }
     let detail = explanation(url, status);
     match status.code() {
         Code::InvalidArgument
@@ -132,9 +157,6 @@ fn explanation(url: &str, status: &Status) -> String {
                           --tls-certificate and --tls-key, and use https:// in the URL";
     /// What tonic says of an HTTP answer that is none of gRPC.
     const NOT_GRPC: &str = "grpc-status header missing";
-    if let Some(why) = security::explain(status) {
-        return why;
-    }
     let said = status.message();
     // An answer of the server has no source.
     let is_lost = status.source().is_some() || said.is_empty() || said.starts_with(NOT_GRPC);
@@ -152,4 +174,30 @@ fn innermost(error: &dyn std::error::Error) -> String {
         cause = next;
     }
     cause.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tokio_rustls::rustls::{AlertDescription, Error};
+
+    use super::*;
+
+    #[test]
+    fn a_refused_certificate_is_final_and_a_broken_connection_is_not() {
+        let failed = |alert: AlertDescription| {
+            let mut status = Status::unavailable("");
+            status.set_source(Arc::new(Error::AlertReceived(alert)));
+            call_failed("https://learner:1", &status)
+        };
+        let refused = failed(AlertDescription::UnknownCA);
+        assert_eq!(
+            refused.to_string(),
+            "no session with https://learner:1: the learner refuses this certificate: another authority has signed it"
+        );
+        assert!(matches!(refused, HealthError::Final(_)));
+        let broken = failed(AlertDescription::BadRecordMac);
+        assert!(matches!(broken, HealthError::Unreachable { .. }), "{broken}");
+    }
 }

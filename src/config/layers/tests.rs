@@ -63,6 +63,13 @@ fn an_environment_from_outside_takes_the_settings_of_a_task_only_if_it_is_named(
 }
 
 #[test]
+fn a_device_without_an_end_is_refused_as_too_large() {
+    let request = Request { files: vec!["/dev/zero".into()], ..Request::default() };
+    let line = resolve(&request).unwrap_err().to_string();
+    assert_eq!(line, "/dev/zero: it has more than 12582912 bytes");
+}
+
+#[test]
 fn a_file_may_choose_the_task() {
     let resolved = of_file("task = \"walker2d-3x2\"\n").unwrap();
     assert_eq!(resolved.text("task"), "walker2d-3x2");

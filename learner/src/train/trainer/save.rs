@@ -16,7 +16,8 @@ use crate::train::trainer::{RunningTrainer, Trainer};
 
 impl RunningTrainer {
     /// Writes a checkpoint every `checkpoint.every` iterations. A failed one is logged as an error and retried after
-    /// the next iteration. Meanwhile training continues and the service reports [`Storage::Degraded`].
+    /// the next iteration, and once more after the last one. Meanwhile training continues and the service reports
+    /// [`Storage::Degraded`].
     ///
     /// # Errors
     /// The run folder is lost.
@@ -35,7 +36,11 @@ impl RunningTrainer {
                 self.trainer.folder.demand_in_place()?;
                 self.trainer.failed_saves += 1;
                 let failures = self.trainer.failed_saves;
-                let then = "training continues; retrying after the next iteration";
+                let then = if self.trainer.iteration < self.trainer.launch.until {
+                    "training continues; retrying after the next iteration"
+                } else {
+                    "training is over; retrying once"
+                };
                 tracing::error!(failures, "checkpoint failed: {error}; {then}");
                 self.tell(&Event::CheckpointFailed { failures });
                 Storage::Degraded

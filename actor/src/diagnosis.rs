@@ -10,23 +10,25 @@ use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
 use tonic::transport::Uri;
 
-/// Deadline for the learner's first frames.
-const TIMEOUT: Duration = Duration::from_secs(5);
-
 /// Connection preface of an HTTP/2 client, with empty settings (RFC 9113, section 3.4).
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// The first byte of a TLS alert (RFC 8446, section 5.1), which answers a client without TLS.
 const TLS_ALERT: u8 = 21;
 
-/// Repeats the TLS handshake with the learner at `url`; returns the reason of its rejection, if any.
-pub(super) async fn on_certificates(url: &str, tls: &ClientTls) -> Option<String> {
-    tokio::time::timeout(TIMEOUT, tls_handshake(url, tls)).await.ok().flatten()
-}
+/// What is wrong with plain text to a learner with certificates.
+const REQUIRES_TLS: &str =
+    "the learner requires TLS; use https:// with --tls-ca, --tls-certificate and --tls-key";
 
-/// Connects to the learner at `url` in plain text; returns a reason if it requires TLS.
-pub(super) async fn on_plain_text(url: &str) -> Option<String> {
-    let first = tokio::time::timeout(TIMEOUT, first_byte(url)).await.ok().flatten()?;
-    (first == TLS_ALERT).then(|| "the learner requires TLS; use https://".to_owned())
+/// Repeats the connection to the learner at `url`, over TLS with `tls`, within `timeout`; returns the reason if the TLS
+/// settings of the two sides do not match.
+pub async fn reason(url: &str, tls: Option<&ClientTls>, timeout: Duration) -> Option<String> {
+    match tls {
+        Some(tls) => tokio::time::timeout(timeout, tls_handshake(url, tls)).await.ok().flatten(),
+        None => {
+            let first = tokio::time::timeout(timeout, first_byte(url)).await.ok().flatten()?;
+            (first == TLS_ALERT).then(|| REQUIRES_TLS.to_owned())
+        }
+    }
 }
 
 /// The first byte that the server at `url` answers.
