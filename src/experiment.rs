@@ -18,7 +18,7 @@ use std::str::FromStr;
 use crate::config::Request;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::figures::chart::thousands;
+use crate::figures::chart::{counted, thousands};
 use crate::run::warm_up;
 use file::{ExperimentFile, Variant, assignments};
 
@@ -113,9 +113,10 @@ pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
         let advice = (steps / EVALUATIONS).max(1);
         (count < FEWEST).then(|| {
             format!(
-                "note: {} has {count} evaluations after its start in {} steps, too few for a curve; \
+                "note: {} has {} after its start in {} steps, too few for a curve; \
                  leave {EVERY_STEPS} out or set it to {}",
                 run.variant,
+                counted(count, "evaluation"),
                 thousands(steps),
                 thousands(advice),
             )

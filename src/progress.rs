@@ -217,8 +217,9 @@ fn notice(event: &Event) -> Option<String> {
             let Spread { mean, standard_deviation, minimum, maximum } = spread;
             Some(format!(
                 "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} \
-                 ({minimum:.1} to {maximum:.1}, {episodes} episodes)",
-                chart::thousands(*env_steps)
+                 ({minimum:.1} to {maximum:.1}, {})",
+                chart::thousands(*env_steps),
+                chart::counted(*episodes as u64, "episode")
             ))
         }
         Event::Waiting { seconds, reason } => {

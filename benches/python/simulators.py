@@ -1,4 +1,4 @@
-"""Environment steps per second with random actions, in Python: s2mia, gymnasium-robotics and EnvPool, in turns.
+"""Environment steps per second with random actions, in Python: s2mia, gymnasium-robotics and EnvPool, alternately.
 
     pip install S2MIA.whl envpool==1.2.5 gymnasium-robotics==1.4.2 mujoco==4.0.0
     python benches/python/simulators.py [--rounds 5] [--secs 2] [--environments 64] [--threads 2]

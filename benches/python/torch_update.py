@@ -1,4 +1,4 @@
-"""The learner's update in plain PyTorch beside ours, in one run: the same shapes, passes, terms and threads.
+"""The learner's update in plain PyTorch compared with ours, in one run: the same shapes, passes, terms and threads.
 
     pip install torch==2.8.0
     python benches/python/torch_update.py [--rounds 3] [--cases halfcheetah-6x1 ...]

@@ -34,7 +34,7 @@ pub(crate) fn reward_with_surprise(reward: f64, alpha: f64, log_prob: f64) -> f6
 ///
 /// # Panics
 /// If the shapes differ.
-pub(crate) fn share_of_return(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
+pub(crate) fn share_of_reward(reward: &[f32], alpha: f64, scores: &[f64]) -> f64 {
     assert_shape("scores", scores.len(), reward.len());
     let task: f64 = reward.iter().map(|&reward| f64::from(reward).abs()).sum();
     let bonus: f64 = scores.iter().map(|score| (alpha * score).abs()).sum();
@@ -95,7 +95,7 @@ impl Surprise {
             let observations = Observations { data, width: data.len() / rows };
             let context = DensityContext { seed, iteration, agent: index as u32, query: 0 };
             agent.refit(observations, context, alpha)?;
-            agent.share = share_of_return(&batch.reward, alpha, agent.scores());
+            agent.share = share_of_reward(&batch.reward, alpha, agent.scores());
             Ok(())
         })
     }
@@ -213,8 +213,8 @@ mod tests {
 
     #[test]
     fn a_bonus_of_one_and_a_reward_of_three_have_a_share_of_a_quarter() {
-        assert_eq!(share_of_return(&[1.0, -2.0], 0.5, &[-1.5, 0.5]), 0.25);
-        assert_eq!(share_of_return(&[0.0, 0.0], 0.0, &[-1.5, 0.5]), 0.0);
+        assert_eq!(share_of_reward(&[1.0, -2.0], 0.5, &[-1.5, 0.5]), 0.25);
+        assert_eq!(share_of_reward(&[0.0, 0.0], 0.0, &[-1.5, 0.5]), 0.0);
     }
 
     #[test]

@@ -41,7 +41,7 @@ pub struct SharedNoise {
     pub share: Option<f32>,
 }
 
-/// What determines the shape of the loadings.
+/// `shared noise of size K with constant (or learnt) loadings`, for messages.
 impl fmt::Display for SharedNoise {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let loadings = if self.loading.is_some() { "constant" } else { "learnt" };

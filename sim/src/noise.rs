@@ -13,7 +13,7 @@ pub(crate) enum DrawPurpose {
     Start = 0,
     /// Target velocity.
     Command = 1,
-    /// Friction of the ground.
+    /// Factor of the friction of all contacts.
     Friction = 2,
     /// Masses on links.
     Payload = 3,
@@ -57,7 +57,7 @@ pub(crate) fn normal(rng: &mut impl RngCore) -> f32 {
     (radius * libm::cos(angle)) as f32
 }
 
-/// Draws uniformly from `[low, high)`; `low` if both are equal.
+/// Draws uniformly from `[low, high]`; `low` if both are equal.
 pub(crate) fn within(rng: &mut impl RngCore, [low, high]: [f32; 2]) -> f32 {
     low + (high - low) * unit(rng)
 }

@@ -16,6 +16,7 @@ use crate::experiment::submit::{self, Jobs, SlurmOptions};
 use crate::experiment::{
     PlannedRun, Selection, Shard, plan, remarks, report, run_state, scheduler,
 };
+use crate::figures::chart;
 use crate::process::{self, output, runtime, shell, target};
 use crate::run::run_path::Others;
 
@@ -274,7 +275,7 @@ fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
     others.iter().for_each(|why| tracing::warn!("{why}"));
     match others.len() {
         0 => anyhow::bail!("{first}"),
-        others => anyhow::bail!("{first} ({others} other runs, too)"),
+        others => anyhow::bail!("{first} ({}, too)", chart::counted(others as u64, "other run")),
     }
 }
 

@@ -55,7 +55,9 @@ fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
     let (value, origin) = match config.resolved.entries.contains_key(key) {
         true => (config.resolved.shown(key), config.resolved.origin(key)),
         false if weight.is_some() => (default.clone(), file),
-        false => ("not set".to_owned(), file),
+        // The remark names what it needs.
+        false if !remark.is_empty() => ("not set".to_owned(), "nothing"),
+        false => ("not set".to_owned(), "nothing (a run has it only if it is given)"),
     };
     // The policies that a place names are part of the hash, not the place.
     let is_start = key == keys::START;

@@ -10,7 +10,7 @@ use recording::trajectory_log::{
 };
 
 use crate::errors::{Incomplete, Usage};
-use crate::figures::chart::thousands;
+use crate::figures::chart::{counted, thousands};
 use crate::process::output;
 use crate::progress::WorkProgress;
 use crate::run::run_path;
@@ -55,9 +55,9 @@ pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     Err(Incomplete(format!(
-        "{} steps of shares that were cut off, {} lost shares",
-        thousands(cut_off),
-        thousands(lost)
+        "{} of shares that were cut off, {}",
+        counted(cut_off, "step"),
+        counted(lost, "lost share")
     ))
     .into())
 }
@@ -72,11 +72,11 @@ fn verify(path: &Path, bytes: &[u8], progress: &WorkProgress) -> anyhow::Result<
     });
     let log = in_file(path, read)?;
     progress.print(format!(
-        "{}: checksums and schemas are right: {} shares, {} steps; {} shares lost by the actor",
+        "{}: checksums and schemas are right: {}, {}; {} lost by the actor",
         path.display(),
-        thousands(shares),
-        thousands(steps),
-        thousands(log.lost_shares())
+        counted(shares, "share"),
+        counted(steps, "step"),
+        counted(log.lost_shares(), "share")
     ));
     Ok(log)
 }
@@ -96,9 +96,9 @@ fn replay(
     });
     let Replayed { shares, steps, difference, other_program } = in_file(path, replayed)?;
     let shown = path.display();
-    let shares = thousands(shares);
-    let steps = thousands(steps);
-    progress.print(format!("{shown}: {steps} steps in {shares} shares, equal bit for bit"));
+    let shares = counted(shares, "share");
+    let steps = counted(steps, "step");
+    progress.print(format!("{shown}: {steps} in {shares}, equal bit for bit"));
     match (difference, other_program) {
         (None, _) => Ok(()),
         (Some(difference), Some(_)) => anyhow::bail!(
@@ -138,11 +138,18 @@ fn in_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let logs = run.join(LOGS);
     let is_run = run.join(CONFIG).is_file() && logs.is_dir();
     let folder = if is_run { &logs } else { folder };
-    let paths = run_path::files(folder, is_log_name);
-    let paths = paths.with_context(|| format!("cannot read {}", folder.display()))?;
+    let found = |belong: fn(&str) -> bool| {
+        let paths = run_path::files(folder, belong);
+        paths.with_context(|| format!("cannot read {}", folder.display()))
+    };
+    let paths = found(is_log_name)?;
     if paths.is_empty() {
-        let why =
-            format!("no trajectories-*.mcap in {}; log.episodes makes some", folder.display());
+        let recording = match found(|name| name.ends_with(".mcap"))?.pop() {
+            Some(file) => format!("; name a file such as {} for a recording", file.display()),
+            None => String::new(),
+        };
+        let shown = folder.display();
+        let why = format!("no trajectories-*.mcap in {shown}; log.episodes makes some{recording}");
         return Err(Usage::new(why).into());
     }
     Ok(paths)

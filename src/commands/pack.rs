@@ -47,9 +47,10 @@ pub(super) fn run(arguments: &PackArguments) -> anyhow::Result<()> {
         let _removed = std::fs::remove_dir_all(&pack);
     }
     written.with_context(|| format!("{} cannot be packed", run.display()))?;
-    let (iterations, checkpoints) = (chart::thousands(recorded.last()), recorded.checkpoints.len());
+    let iterations = chart::counted(recorded.last(), "iteration");
+    let checkpoints = chart::counted(recorded.checkpoints.len() as u64, "checkpoint");
     let end = recorded.unfinished();
-    output::line(format!("{shown}: {iterations} iterations, {checkpoints} checkpoints{end}"));
+    output::line(format!("{shown}: {iterations}, {checkpoints}{end}"));
     output::line(format!("next:\n  s2mia verify {}", shell::path(&pack)));
     Ok(())
 }

@@ -13,6 +13,7 @@ use sim::{Actuator, EnvironmentBatch, Robot, Torque};
 
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
+use crate::figures::chart;
 use crate::process::target::{ForceArguments, Target};
 use crate::process::{output, shell};
 
@@ -50,9 +51,9 @@ pub(super) fn list(arguments: &TasksArguments) -> anyhow::Result<()> {
 /// Agents and sizes of a task.
 pub(super) fn as_table(task: &EnvironmentSpec) -> String {
     let mut text = format!(
-        "{}: {} agents, state {}, {} steps of {} s\n",
+        "{}: {}, state {}, {} steps of {} s\n",
         task.task,
-        task.agents.len(),
+        chart::counted(task.agents.len() as u64, "agent"),
         task.state.len(),
         task.episode_steps,
         task.dt_secs

@@ -92,11 +92,11 @@ fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
         start => format!(", from the policies of {start}"),
     };
     format!(
-        "{}: task {task}, algorithm {}, seed {}, {} actors, {} env steps{start}",
+        "{}: task {task}, algorithm {}, seed {}, {}, {} env steps{start}",
         folder.display(),
         config.resolved.text("algorithm"),
         config.run.seed,
-        config.actors(),
+        chart::counted(config.actors() as u64, "actor"),
         chart::thousands(config.env_steps()),
     )
 }
@@ -149,9 +149,9 @@ impl Closing<'_> {
     fn reached(&self) -> String {
         let done = if self.summary.stopped_early { "stopped" } else { "finished" };
         format!(
-            "\n{done}: {} env steps, {} iterations, {} in this session",
+            "\n{done}: {} env steps, {}, {} in this session",
             chart::thousands(self.summary.env_steps),
-            chart::thousands(self.summary.iteration),
+            chart::counted(self.summary.iteration, "iteration"),
             chart::duration(self.elapsed.as_secs_f64()),
         )
     }
@@ -185,17 +185,17 @@ impl Closing<'_> {
 fn logged(logs: &Path) -> String {
     let logged = run_path::files(logs, is_log_name).unwrap_or_default();
     let finished: Vec<_> = logged.iter().filter_map(|path| totals(path).ok()).collect();
-    let sum = |figure: &str| {
+    let sum = |figure: &str| -> u64 {
         let values = finished.iter().filter_map(|of| of.get(figure)?.parse::<u64>().ok());
-        chart::thousands(values.sum())
+        values.sum()
     };
     format!(
-        "logged {} steps in {} shares of episodes to {}; {} shares lost, {} files not finished",
-        sum("steps"),
-        sum("shares"),
+        "logged {} in {} of episodes to {}; {} lost, {} not finished",
+        chart::counted(sum("steps"), "step"),
+        chart::counted(sum("shares"), "share"),
         logs.display(),
-        sum("lost_shares"),
-        logged.len() - finished.len(),
+        chart::counted(sum("lost_shares"), "share"),
+        chart::counted((logged.len() - finished.len()) as u64, "file"),
     )
 }
 

@@ -136,7 +136,12 @@ impl OwnTask {
 
 fn text(path: &Path) -> Result<String, ConfigError> {
     let place = path.display().to_string();
-    plain_file::named_text(path, FILE_BYTES).map_err(|error| refused(&place, error))
+    plain_file::named_text(path, FILE_BYTES).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => {
+            refused(&place, "there is no such task file; `s2mia task new DIR` writes one")
+        }
+        _ => refused(&place, error),
+    })
 }
 
 /// Text of the model `document` in `folder`, with all files that it needs.

@@ -20,106 +20,106 @@ struct Rule {
     refused: Condition,
     /// What it does not go with: all of these together.
     with: &'static [Condition],
-    /// The values that are allowed instead, with the reason.
-    allowed: &'static str,
+    /// The same in words, and the values that are allowed instead, with the reason.
+    conflict: &'static str,
 }
 
-const fn rule(refused: Condition, with: &'static [Condition], allowed: &'static str) -> Rule {
-    Rule { refused, with, allowed }
+const fn rule(refused: Condition, with: &'static [Condition], conflict: &'static str) -> Rule {
+    Rule { refused, with, conflict }
 }
 
 const TABLE: &[Rule] = &[
     rule(
         Is("update.parameters", &["shared"]),
         &[OFF_POLICY],
-        "separate with update.rule = maddpg or hasac",
+        "update.rule = maddpg or hasac; it must be separate",
     ),
     rule(
         Is("policy.core", &["gru"]),
         &[OFF_POLICY],
-        "mlp with update.rule = maddpg or hasac: the replay holds single steps, no recurrent states",
+        "update.rule = maddpg or hasac; it must be mlp: the replay holds single steps, no recurrent states",
     ),
     rule(
         Is("observation.norm", &["running"]),
         &[OFF_POLICY],
-        "feature_z or none with update.rule = maddpg or hasac: running statistics would differ from those of the replay",
+        "update.rule = maddpg or hasac; it must be feature_z or none: running statistics would differ from those of the replay",
     ),
     rule(
         Is("critic.core", &["gru"]),
         &[OFF_POLICY],
-        "mlp with update.rule = maddpg or hasac: the replay holds single steps, no recurrent states",
+        "update.rule = maddpg or hasac; it must be mlp: the replay holds single steps, no recurrent states",
     ),
     rule(
         Is("critic.state_norm", &["running"]),
         &[OFF_POLICY],
-        "none or feature_z with update.rule = maddpg or hasac: the scale of states in the replay would be stale",
+        "update.rule = maddpg or hasac; it must be none or feature_z: the scale of states in the replay would be stale",
     ),
     rule(
         INFLUENCE,
         &[MADDPG],
-        "0 with update.rule = maddpg: a deterministic policy has no density to regularise",
+        "update.rule = maddpg; it must be 0: a deterministic policy has no density to regularise",
     ),
     rule(
         INFLUENCE,
         &[HASAC],
-        "0 with update.rule = hasac: Eq. 10 adds the influence to an on-policy surrogate",
+        "update.rule = hasac; it must be 0: Eq. 10 adds the influence to an on-policy surrogate",
     ),
     rule(
         Not(START, ""),
         &[HASAC],
-        "absent with update.rule = hasac: policies have batch norms folded into their weights, which cannot be trained on",
+        "update.rule = hasac; leave it out: policies have batch norms folded into their weights, which cannot be trained on",
     ),
-    rule(OFF_POLICY, &[Environment(Discrete)], "happo or mappo for a task with discrete actions"),
+    rule(OFF_POLICY, &[Environment(Discrete)], "discrete actions; it must be happo or mappo"),
     rule(
         Is("influence.estimator", &["count"]),
         &[Environment(Continuous)],
-        "variational_kl for continuous actions: counts need discrete actions",
+        "continuous actions; it must be variational_kl: counts need discrete actions",
     ),
     rule(
         Is("influence.q_training", &["shared"]),
         &[Is("influence.estimator", &["count"])],
-        "mle with estimator = count: a table of counts has no parameters to train",
+        "influence.estimator = count; it must be mle: a table of counts has no parameters to train",
     ),
     rule(
         Is("influence.q_training", &["shared"]),
         &[Is("update.parameters", &["shared"]), INFLUENCE],
-        "mle with update.parameters = shared: a trunk has one second head",
+        "update.parameters = shared; it must be mle: a trunk has one second head",
     ),
     rule(
         Is("influence.q_training", &["shared"]),
         &[INFLUENCE, Environment(Discrete)],
-        "mle for a task with discrete actions",
+        "discrete actions; it must be mle",
     ),
     rule(
         SHARED_NOISE,
         &[MADDPG],
-        "independent with update.rule = maddpg: its noise is clamped to the range of actions",
+        "update.rule = maddpg; it must be independent: its noise is clamped to the range of actions",
     ),
     rule(
         Zero("policy.noise_loading"),
         &[SHARED_NOISE, HASAC],
-        "above 0, at most 0.95, with update.rule = hasac: losses are those of independent noise, so loadings have no gradient",
+        "update.rule = hasac; it must be above 0, at most 0.95: losses are those of independent noise, so loadings have no gradient",
     ),
     rule(
         SHARED_NOISE,
         &[Environment(Discrete)],
-        "independent for a task with discrete actions: only a Gaussian's noise can be shared",
+        "discrete actions; it must be independent: only a Gaussian's noise can be shared",
     ),
     rule(
         Is("influence.estimator", &["exact"]),
         &[Not("policy.noise", "shared")],
-        "variational_kl or count without policy.noise = shared: with independent noise the information between actions \
-         is 0",
+        "independent noise; it must be variational_kl or count, or give policy.noise=shared: the information between \
+         independent actions is 0",
     ),
     rule(
         INFLUENCE,
         &[Is("influence.estimator", &["exact"]), Above0("policy.noise_loading")],
-        "0 with influence.estimator = exact and a constant policy.noise_loading: the information is constant",
+        "influence.estimator = exact and a constant policy.noise_loading; it must be 0: the information is constant",
     ),
     rule(
         Not("log.episodes", "none"),
         &[Not("environment_service.url", "")],
-        "none with environment_service.url: only the simulator's episodes are logged",
+        "environment_service.url; it must be none: only the simulator's episodes are logged",
     ),
 ];
 
@@ -137,11 +137,11 @@ pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let keys: Vec<&str> = conditions.filter_map(Condition::setting).collect();
     let key = keys[0];
     let found = if run.resolved.entries.contains_key(key) {
-        format!("{key} = {} is out of range", run.resolved.plain(key))
+        format!("{key} = {} does", run.resolved.plain(key))
     } else {
-        format!("{key} is not given")
+        format!("{key} is not given, which does")
     };
-    let detail = format!("{found}: {}", rule.allowed);
+    let detail = format!("{found} not go with {}", rule.conflict);
     Err(ConfigError::refused(run.resolved, &keys, &detail))
 }
 
@@ -232,9 +232,9 @@ mod tests {
         assert_eq!(TABLE.len(), CASES.len());
         for (rule, (settings, value)) in TABLE.iter().zip(CASES) {
             let message = RunConfig::with(settings).expect_err("refused").to_string();
-            let range = format!(": {}", rule.allowed);
+            let conflict = format!(" not go with {}", rule.conflict);
             assert!(
-                message.starts_with("command line: ") && message.ends_with(&range),
+                message.starts_with("command line: ") && message.ends_with(&conflict),
                 "{message}"
             );
             assert!(message.contains(value), "{message}");
@@ -299,13 +299,13 @@ mod tests {
             ),
             (
                 &["cue-2x1", "algorithm=hasac"],
-                "command line: algorithm = hasac does not fit: update.rule = hasac is out of range: happo or mappo for a \
-                 task with discrete actions",
+                "command line: algorithm = hasac does not fit: update.rule = hasac does not go with discrete actions; it \
+                 must be happo or mappo",
             ),
             (
                 &["cue-2x1", "algorithm=maddpg"],
-                "command line: algorithm = maddpg does not fit: update.rule = maddpg is out of range: happo or mappo for a \
-                 task with discrete actions",
+                "command line: algorithm = maddpg does not fit: update.rule = maddpg does not go with discrete actions; it \
+                 must be happo or mappo",
             ),
         ] {
             let message = RunConfig::with(settings).expect_err("refused").to_string();

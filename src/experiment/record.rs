@@ -18,7 +18,7 @@ use super::{EVALUATIONS, EVERY_STEPS, PlannedRun};
 use crate::config::keys::{EVALUATED, SAMPLED};
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::figures::chart::thousands;
+use crate::figures::chart::{counted, thousands};
 use crate::figures::learning_curve::{Curve, Quantity};
 use crate::process::target::{self, Target};
 use crate::run::recorded::all_lines;
@@ -166,7 +166,7 @@ impl Record {
         let Some(first) = conflicts.next() else { return Ok(()) };
         let others = match conflicts.count() {
             0 => String::new(),
-            others => format!(" ({others} other runs, too)"),
+            others => format!(" ({}, too)", counted(others as u64, "other run")),
         };
         Err(Usage::new(format!("{}: {first}{others}", path.display())))
     }

@@ -157,7 +157,8 @@ pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> S
     };
     let total = runs.iter().map(|run| run.config.env_steps()).sum();
     let lines: String = runs.iter().map(line).collect();
-    format!("{lines}{} runs, {} steps, {at_once} at once", runs.len(), chart::thousands(total))
+    let (runs, steps) = (chart::counted(runs.len() as u64, "run"), chart::thousands(total));
+    format!("{lines}{runs}, {steps} steps, {at_once} at once")
 }
 
 /// The last lines of a file of JSON lines; none if it cannot be read.

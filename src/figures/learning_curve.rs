@@ -12,6 +12,7 @@ use serde_json::Value;
 use crate::config::keys::EVALUATED;
 use crate::config::presets::ALGORITHMS;
 use crate::errors::Usage;
+use crate::figures::chart;
 use crate::figures::statistics::{
     Interval, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
@@ -313,7 +314,9 @@ fn labels(groups: &Groups<'_>) -> BTreeMap<String, String> {
         });
         match (fewest, most, seeds.first()) {
             (_, 1, Some(seed)) if seeds.len() == 1 => format!("{name} (seed {seed})"),
-            (fewest, most, _) if fewest == most => format!("{name} ({most} seeds)"),
+            (fewest, most, _) if fewest == most => {
+                format!("{name} ({})", chart::counted(most as u64, "seed"))
+            }
             _ => format!("{name} ({fewest} to {most} seeds)"),
         }
     };

@@ -105,10 +105,8 @@ impl Recorded {
         if self.last() >= whole {
             return String::new();
         }
-        let whole = chart::thousands(whole);
-        format!(
-            "; its settings have {whole} iterations, so it was stopped, or its records were cut off"
-        )
+        let whole = chart::counted(whole, "iteration");
+        format!("; its settings have {whole}, so it was stopped, or its records were cut off")
     }
 
     /// Hash of the run's semantic settings.

@@ -11,6 +11,7 @@ use crate::config::message_steps::MESSAGE;
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
 use crate::errors::Usage;
+use crate::figures::chart;
 use crate::run::BUILD;
 
 const DECAYS: &str =
@@ -68,10 +69,7 @@ fn fixed(
 
 /// Length of a run in iterations, with `run.env_steps` if that setting determines it.
 fn length(config: &RunConfig) -> String {
-    let iterations = match config.iterations() {
-        1 => "1 iteration".to_owned(),
-        iterations => format!("{iterations} iterations"),
-    };
+    let iterations = chart::counted(config.iterations(), "iteration");
     match config.run.iterations {
         0 => format!("{iterations} (run.env_steps = {})", config.run.env_steps),
         _ => iterations,

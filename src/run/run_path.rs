@@ -41,7 +41,7 @@ pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
         Some(run) => {
             format!("`{shown}` is no run folder, but in the run {}; name that", run.display())
         }
-        None if !folder.exists() => format!("there is no `{shown}`{}", meant()),
+        None if !folder.exists() => format!("there is no run folder `{shown}`{}", meant()),
         None => format!("`{shown}` is no run folder: it has no {CONFIG}"),
     }))
 }

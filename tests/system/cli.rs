@@ -73,11 +73,14 @@ fn a_key_is_explained_with_its_value_origin_default_and_effect() {
     let own = succeeded(&["config", "hasac.batch"]);
     assert!(
         own.starts_with(
-            "hasac.batch = not set\n  set by   configs/algorithms/hasac.toml; no effect: it needs algorithm = hasac\n  \
+            "hasac.batch = not set\n  set by   nothing; no effect: it needs algorithm = hasac\n  \
              default  256\n"
         ),
         "{own}"
     );
+    let optional = succeeded(&["config", "policy.noise"]);
+    let start = "policy.noise = not set\n  set by   nothing (a run has it only if it is given)\n  default  \"independent\"\n";
+    assert!(optional.starts_with(start), "{optional}");
     let unknown = refused(&["config", "surprise.alfa"]);
     assert!(
         unknown.trim_end().ends_with("unknown key `surprise.alfa`; did you mean `surprise.alpha`?"),

@@ -59,12 +59,17 @@ fn files_that_are_no_whole_logs_are_rejected_in_one_line() {
     let bytes = std::fs::read(&logs(folder)[0]).unwrap();
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
     let empty = runs.folder("empty");
-    std::fs::create_dir(&empty).unwrap();
+    let recorded = runs.folder("recorded");
+    for folder in [&empty, &recorded] {
+        std::fs::create_dir(folder).unwrap();
+    }
+    std::fs::write(recorded.join("iter_00000020.mcap"), "").unwrap();
     for (path, status, parts) in [
         (text(&cut), 1, ["cut.mcap: not finished", "`mcap recover`"]),
         ("Cargo.toml", 1, ["Cargo.toml", "not an MCAP file"]),
         ("nowhere.mcap", 1, ["nowhere.mcap", "cannot read it"]),
         (text(&empty), 2, ["empty", "no trajectories-*.mcap"]),
+        (text(&recorded), 2, ["recorded/iter_00000020.mcap for a recording", "; name a file such"]),
     ] {
         let (found, line) = told(s2mia(&["log", path]));
         assert_eq!(found, Some(status), "{line}");

@@ -320,7 +320,7 @@ fn folders_that_are_no_runs_and_addresses_of_other_machines_are_refused_in_one_l
     let folder = runs.folder("place");
     write_run(&folder.join("first"), 1.5);
     for (arguments, reason) in [
-        (&["first", "missing"][..], "there is no `missing`"),
+        (&["first", "missing"][..], "there is no run folder `missing`"),
         (&["first", "--listen", "0.0.0.0:0"], "--insecure-allow-remote-page"),
         (&[], "there is no run in ./runs"),
     ] {

@@ -53,7 +53,7 @@ fn a_learner_says_once_how_many_threads_have_no_slot() {
     let mut learner = Learner::start(&runs.folder("idle"), &["run.iterations=20"]);
     // Two slots.
     let log = learner.finish(&["--threads=3"]);
-    let lines = log.lines().filter(|line| line.contains("actor threads have no slot"));
+    let lines = log.lines().filter(|line| line.contains("actor threads has no slot"));
     let lines = lines.collect::<Vec<_>>();
     assert_eq!(lines.len(), 1, "{log}");
     assert!(lines[0].contains("1 of 3"), "{log}");

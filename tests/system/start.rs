@@ -45,7 +45,7 @@ fn a_run_that_started_from_another_ends_with_the_same_bits_and_does_not_need_the
     let again = runs.folder("again");
     let folder = format!("run.dir={}", text(&again));
     let line = refused(&["train", &config, &folder]);
-    assert!(line.contains("config.toml: policy.start: there is no `"), "{line}");
+    assert!(line.contains("config.toml: policy.start: there is no run folder `"), "{line}");
     let kept = format!("policy.start={}", text(&pack.join("start_policies.safetensors")));
     success(&mut command(&["train", &config, &folder, &kept]));
     assert_eq!(inspect(&again), inspect(&whole));

@@ -64,7 +64,7 @@ fn a_name_without_a_team_is_answered_with_the_nearest_or_with_how_to_train_one()
         for (name, part) in [
             ("halfcheetah-pushed-2x2", "did you mean `halfcheetah-pushed-2x3`?"),
             ("cue-2x1", "train one with `s2mia train cue-2x1`"),
-            ("no/such/run", "there is no `no/such/run`"),
+            ("no/such/run", "there is no run folder `no/such/run`"),
             ("nonsense", "is neither a folder nor a task with a trained team; tasks with"),
             // A folder comes before a team.
             (TASK, "is no run folder: it has no config.toml"),

@@ -118,7 +118,7 @@ fn records_that_end_before_the_run_of_their_settings_are_said_to_be_cut_off() {
     let pack = runs.folder("pack");
     let cut = "; its settings have 6 iterations, so it was stopped, or its records were cut off";
     let packed = succeeded(&["pack", text(&run), "--out", text(&pack)]);
-    assert!(packed.contains(&format!("2 iterations, 1 checkpoints{cut}")), "{packed}");
+    assert!(packed.contains(&format!("2 iterations, 1 checkpoint{cut}")), "{packed}");
     let (told, _) = success(&mut command(&whole(&pack)));
     assert!(told.contains("2 of its 2 iterations") && told.contains(cut), "{told}");
 }

@@ -16,15 +16,10 @@ import json
 import pathlib
 import sys
 
-import numpy
-import s2mia
-from gymnasium_robotics import mamujoco_v1
 from program import evaluated
-from s2mia_environment.partitions import ROBOTS, factorization
 
 # What the tasks pay for each step of a robot that has not fallen.
 ALIVE = {"HalfCheetah": 0.0, "Walker2d": 1.0, "Ant": 1.0}
-NAMES = {robot.lower(): robot for robot in ROBOTS}
 MUJOCO = "mujoco/"
 STEPS = 1000
 
@@ -61,7 +56,7 @@ def compared(run, episodes):
     task = json.loads((run / "manifest.json").read_text())["environment"]
     # Between them stands `pushed` in tasks whose pushes evaluations leave out.
     robot, *_, partition = task.removeprefix(MUJOCO).split("-")
-    robot = NAMES.get(robot, robot)
+    robot = {name.lower(): name for name in ROBOTS}.get(robot, robot)
     if robot not in ALIVE:
         sys.exit(f"{run}: {task} is no task of {', '.join(ROBOTS)}")
     policies, seeds = s2mia.load(run), range(episodes)
@@ -89,11 +84,21 @@ def row(task, robot, runs):
     return f"| {' | '.join(map(str, cells))} |"
 
 
+def load_packages():
+    """Imports what the help of this program does not need."""
+    global ROBOTS, factorization, mamujoco_v1, numpy, s2mia
+    import numpy
+    import s2mia
+    from gymnasium_robotics import mamujoco_v1
+    from s2mia_environment.partitions import ROBOTS, factorization
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", type=pathlib.Path)
     parser.add_argument("--episodes", type=int, default=10)
     options = parser.parse_args()
+    load_packages()
     tasks = {}
     for run in options.runs:
         task, robot, home, abroad = compared(run, options.episodes)

@@ -12,6 +12,8 @@ MuJoCo plays the first five evaluation episodes with the same starts and command
 ends of episodes. Speeds are means in the root's own heading. The ratio is MuJoCo's speed divided by that here.
 """
 
+from __future__ import annotations
+
 import argparse
 import dataclasses
 import json
@@ -20,12 +22,7 @@ import shutil
 import sys
 import tomllib
 
-import mujoco
-import numpy
-import onnxruntime
 from debian import ROOT
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 from packages import unpacked
 from program import evaluated, s2mia
 
@@ -270,6 +267,16 @@ def row(robot, options):
     return f"| {' | '.join(cells)} |"
 
 
+def load_packages():
+    """Imports what the help of this program does not need."""
+    global DecoderFactory, make_reader, mujoco, numpy, onnxruntime
+    import mujoco
+    import numpy
+    import onnxruntime
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("robots", nargs="+", choices=sorted(FOLDERS))
@@ -278,6 +285,7 @@ def main():
     parser.add_argument("--out", type=pathlib.Path, default=ROOT / "target" / "vendors")
     parser.add_argument("--menagerie", type=pathlib.Path)
     options = parser.parse_args()
+    load_packages()
     options.out.mkdir(parents=True, exist_ok=True)
     print("| robot | steps/s | steps | return | full here | speed here | full in MuJoCo | speed in MuJoCo | ratio |")
     for robot in options.robots:

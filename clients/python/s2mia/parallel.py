@@ -128,7 +128,9 @@ class ParallelSimulator(OneEnvironment, ParallelEnv[str, Numbers, Any]):  # type
             raise ValueError(f"actions is a {type(actions).__name__}; it maps the name of each agent to its action")
         if actions.keys() != self._names:
             named, agents = ", ".join(map(str, actions)), ", ".join(self.possible_agents)
-            raise ValueError(f"the actions are of the agents {named or 'none'}; needed are those of {agents}")
+            if not named:
+                raise ValueError(f"the dictionary of actions is empty; it needs an action for each of {agents}")
+            raise ValueError(f"the actions are of the agents {named}; needed are those of {agents}")
         rows = []
         for name, shapes in self._shapes:
             rows.append(numbers(f"the action of {name}", actions[name]))

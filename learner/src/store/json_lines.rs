@@ -53,8 +53,11 @@ impl JsonLines {
             }
         }
         damaged -= usize::from(of_iteration(&text[whole..]).is_none() && whole < text.len());
-        if damaged > 0 {
-            tracing::warn!("{} has {damaged} damaged lines, which are dropped", path.display());
+        let shown = path.display();
+        match damaged {
+            0 => {}
+            1 => tracing::warn!("{shown} has 1 damaged line, which is dropped"),
+            _ => tracing::warn!("{shown} has {damaged} damaged lines, which are dropped"),
         }
         if content != text {
             durable::replace(path, &content)?;

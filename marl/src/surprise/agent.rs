@@ -18,7 +18,7 @@ pub(super) struct AgentSurprise {
     /// The term that alpha multiplies, for every row of the last batch.
     scores: Vec<f64>,
     at_fit: (f64, f64, f64),
-    /// Share of the bonus in the return of the last batch.
+    /// Share of the bonus in the agent's reward over the last batch, both in magnitude.
     pub(super) share: f64,
 }
 

@@ -27,7 +27,7 @@ pub(crate) struct Transition<'a> {
     pub(crate) last_control: &'a [f32],
     /// Target velocity, m/s and rad/s, `[C]`.
     pub(crate) command: &'a [f32],
-    /// The x of the robot's mass centre before and after the step, m; 0 unless a term reads it.
+    /// The x of the mass centre of everything that moves, before and after the step, m; 0 unless a term reads it.
     pub(crate) mass_centre: [f32; 2],
     /// Duration of the step, s.
     pub(crate) dt_secs: f32,
@@ -188,7 +188,7 @@ impl WeightedSum {
         self.0.iter().any(|(_, term)| matches!(term, Term::ActionRate))
     }
 
-    /// Whether a term reads the robot's mass centre.
+    /// Whether a term reads the mass centre of everything that moves.
     pub(super) fn reads_mass_centre(&self) -> bool {
         self.0.iter().any(|(_, term)| matches!(term, Term::MassCentreSpeed))
     }

@@ -6,6 +6,7 @@ use policy::{Draw, DrawKey, Purpose, RunSeed};
 use proto::MAX_MAGNITUDE;
 use sim::{EnvironmentBatch, Outcome, Pose};
 
+use crate::figures::chart;
 use crate::film::{self, RobotShapes, TimedPose, ViewDirection};
 
 /// Seed of the random actions.
@@ -99,10 +100,10 @@ impl Trial {
     }
 
     pub(super) fn summary(&self) -> String {
-        let episodes = self.episodes;
-        let mean = |sum: f64| sum / f64::from(episodes);
+        let mean = |sum: f64| sum / f64::from(self.episodes);
+        let episodes = chart::counted(u64::from(self.episodes), "episode");
         format!(
-            "{episodes} episodes of random actions: mean length {:.1} steps, mean return {:.1}, {} ended by the task's \
+            "{episodes} of random actions: mean length {:.1} steps, mean return {:.1}, {} ended by the task's \
              rules, {} by a physics fault; largest speed {:.1} ({})",
             mean(self.steps as f64),
             mean(self.total),

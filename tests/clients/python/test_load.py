@@ -275,7 +275,7 @@ def refused(path) -> str:
 
 def test_a_folder_without_policies_is_refused(trained, tmp_path):
     assert refused(tmp_path) == "`PATH` is no run folder: it has no config.toml"
-    assert refused(tmp_path / "x") == "there is no `PATH`"
+    assert refused(tmp_path / "x") == "there is no run folder `PATH`"
     with pytest.raises(s2mia.RunError, match="^`` is neither a folder nor a task with a trained team; "):
         s2mia.load("")
     shutil.copy(trained / "config.toml", tmp_path)

@@ -160,7 +160,10 @@ fn each(leases: &[LeaseStatus]) -> String {
 fn at(lease: &LeaseStatus) -> String {
     let LeaseStatus { lease, work, chunks, .. } = lease;
     match work {
-        LeasedWork::Slot(slot) => format!("at slot {slot} (lease {lease}) after {chunks} chunks"),
+        LeasedWork::Slot(slot) => {
+            let ending = if *chunks == 1 { "" } else { "s" };
+            format!("at slot {slot} (lease {lease}) after {chunks} chunk{ending}")
+        }
         LeasedWork::Episode(episode) => {
             format!("at evaluation episode {episode} (lease {lease})")
         }

@@ -1,5 +1,5 @@
-//! The page's HTTP server: read-only, one request per connection, and a timeout of seconds. With TLS it answers only
-//! clients with the role operator.
+//! The page's HTTP server: read-only, one request per connection, five seconds for a request and a minute for its response.
+//! With TLS it answers only clients with the role operator.
 
 use std::net::SocketAddr;
 use std::sync::Arc;

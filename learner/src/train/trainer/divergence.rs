@@ -141,8 +141,11 @@ impl Divergence {
                                 too large"
                 .to_owned(),
             Some((name, own)) => format!("{name} is {own}; {LOWER}"),
-            None if new > 0.0 => format!(
+            None if new > 1.0 => format!(
                 "{new} optimiser steps were skipped because their gradients were not finite (skipped_steps); {LOWER}"
+            ),
+            None if new > 0.0 => format!(
+                "{new} optimiser step was skipped because its gradients were not finite (skipped_steps); {LOWER}"
             ),
             None => return None,
         };

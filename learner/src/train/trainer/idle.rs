@@ -7,28 +7,28 @@ pub(super) fn advice(actors: u64, environments: &EnvironmentsConfig) -> Option<S
     let slots = environments.most_slots() as u64;
     let idle = actors.checked_sub(slots).filter(|idle| *idle > 0)?;
     let count = environments.count;
+    let all = match count {
+        1 => "1 environment".to_owned(),
+        _ => format!("{count} environments"),
+    };
     let more = "set a larger environments.count in a new run, which changes its results";
     let (limit, remedy) = match environments.per_slot {
-        0 | 1 => (
-            format!("the run has {count} environments, and a slot has at least one"),
-            more.to_owned(),
-        ),
+        0 | 1 => (format!("the run has {all}, and a slot has at least one"), more.to_owned()),
         fixed => {
             let threads = usize::try_from(actors).unwrap_or(usize::MAX);
             let cut = count / slot_size(count, threads, 0);
             let rest = if cut < threads { format!("; for more, {more}") } else { String::new() };
             (
-                format!(
-                    "environments.per_slot={fixed} makes {slots} slots of {count} environments"
-                ),
+                format!("environments.per_slot={fixed} makes {slots} slots of {all}"),
                 format!(
                     "resume with environments.per_slot=0, which makes {cut} with the same results{rest}"
                 ),
             )
         }
     };
+    let have = if idle == 1 { "has" } else { "have" };
     Some(format!(
-        "{idle} of {actors} actor threads have no slot: {limit}; {remedy}, or start fewer threads"
+        "{idle} of {actors} actor threads {have} no slot: {limit}; {remedy}, or start fewer threads"
     ))
 }
 

@@ -96,7 +96,8 @@ mod tests {
 
     fn rotated(point: [f64; 3], angles: [f64; 2]) -> [f32; 3] {
         let turn = |[x, y]: [f64; 2], angle: f64| {
-            [x * angle.cos() - y * angle.sin(), x * angle.sin() + y * angle.cos()]
+            let (sine, cosine) = libm::sincos(angle);
+            [x * cosine - y * sine, x * sine + y * cosine]
         };
         let [x, y] = turn([point[0], point[1]], angles[0]);
         let [y, z] = turn([y, point[2]], angles[1]);
@@ -118,13 +119,13 @@ mod tests {
     fn rings_of_points_between_the_ends_of_a_cylinder_do_not_change_its_hull() {
         for (sides, rings) in [(20, 6), (100, 20), (7, 3)] {
             let angle = std::f64::consts::TAU / f64::from(sides);
-            let expected = 0.5 * f64::from(sides) * angle.sin() * 0.04 * 0.5;
+            let expected = 0.5 * f64::from(sides) * libm::sin(angle) * 0.04 * 0.5;
             for turn in 0..40 {
                 let angles = [0.37 * f64::from(turn), 0.91 * f64::from(turn)];
                 let points: Vec<[f32; 3]> = (0..sides * rings)
                     .map(|index| {
                         let (side, ring) = (f64::from(index % sides), f64::from(index / sides));
-                        let (sine, cosine) = (angle * side).sin_cos();
+                        let (sine, cosine) = libm::sincos(angle * side);
                         let height = 0.5 * ring / f64::from(rings - 1);
                         rotated([0.2 * cosine, 0.2 * sine, height], angles)
                     })
