@@ -164,16 +164,12 @@ impl EnvironmentsConfig {
         slot_size(self.count, threads, self.per_slot).min(most)
     }
 
-    /// Sizes that a slot may have, the largest first.
+    /// Sizes that a slot may have, the largest first. With larger observations, messages leave room for smaller slots only.
     #[must_use]
     pub fn slot_sizes(&self) -> Vec<usize> {
-        match self.per_slot {
-            0 => {
-                let sizes = (1..=MOST_PER_SLOT.min(self.count)).rev();
-                sizes.filter(|size| self.count.is_multiple_of(*size)).collect()
-            }
-            fixed => vec![fixed],
-        }
+        let most = if self.per_slot > 0 { self.per_slot } else { MOST_PER_SLOT };
+        let sizes = (1..=most.min(self.count)).rev();
+        sizes.filter(|size| self.count.is_multiple_of(*size)).collect()
     }
 
     /// Environment steps of one iteration.
@@ -253,7 +249,7 @@ mod tests {
     fn a_slot_is_no_larger_than_its_messages_allow() {
         let config = EnvironmentsConfig { per_slot: 0, ..config() };
         assert_eq!(config.slot_sizes(), [10, 5, 4, 2, 1]);
-        assert_eq!(EnvironmentsConfig { per_slot: 2, ..config }.slot_sizes(), [2]);
+        assert_eq!(EnvironmentsConfig { per_slot: 2, ..config }.slot_sizes(), [2, 1]);
         assert_eq!([10, 4, 1].map(|most| config.slot_size(1, most)), [10, 4, 1]);
     }
 

@@ -13,9 +13,6 @@ const FOLDER: &str = "run.dir";
 /// Key of the URL of the program that provides the environment; empty for the simulator.
 pub(crate) const URL: &str = "environment_service.url";
 
-/// Key of the environments of a slot.
-pub(crate) const PER_SLOT: &str = "environments.per_slot";
-
 /// Key of the place of the trained policies from which a run starts.
 pub(crate) const START: &str = "policy.start";
 
@@ -34,7 +31,7 @@ const OPERATIONAL: &[&str] = &[
     FOLDER,
     URL,
     START,
-    PER_SLOT,
+    "environments.per_slot",
     "lease.",
     "audit.",
     "evaluation.",

@@ -6,9 +6,9 @@ use learner::launch::Launch;
 use proto::{Digest, RunDescription};
 
 use super::resolved::Resolved;
+use crate::config::ConfigError;
 use crate::config::keys::URL;
 use crate::config::run_config::RunConfig;
-use crate::config::{ConfigError, keys};
 
 /// Steps of a message.
 pub(crate) const MESSAGE: &str = "environments.message_steps";
@@ -54,7 +54,7 @@ pub(crate) fn fit(config: &mut RunConfig, launch: &mut Launch) -> Result<(), Con
     if fits(&run, now) {
         return Ok(());
     }
-    let fitting = largest(&run, now, (environments.count, environments.steps));
+    let fitting = largest(&run, now, environments.steps);
     let alone = |sizes: Sizes| sizes == Sizes { message: sizes.message, ..now };
     match fitting {
         Some(sizes) if alone(sizes) && !config.resolved.is_given(MESSAGE) => {
@@ -76,11 +76,9 @@ fn set(resolved: &mut Resolved, steps: u64) {
     resolved.set(MESSAGE, steps, SLOT);
 }
 
-/// What determines the size of a message.
+/// What determines the size of a message with one environment: slots are as small as their messages need.
 #[derive(Clone, Copy, PartialEq)]
 struct Sizes {
-    /// Environments of a slot.
-    per_slot: usize,
     /// Steps of a message.
     message: usize,
     /// Steps of a sequence, which divide a message.
@@ -90,19 +88,13 @@ struct Sizes {
 impl Sizes {
     fn of(config: &RunConfig) -> Self {
         let environments = &config.learner.environments;
-        Self {
-            // Slots of no fixed size are as small as their messages need.
-            per_slot: environments.per_slot.max(1),
-            message: environments.message_steps,
-            window: config.policy.backpropagation_steps,
-        }
+        Self { message: environments.message_steps, window: config.policy.backpropagation_steps }
     }
 }
 
 fn bytes(run: &RunDescription, sizes: Sizes) -> Option<u64> {
     let number = |size: usize| u32::try_from(size).unwrap_or(u32::MAX);
     let run = RunDescription {
-        environments_per_slot: number(sizes.per_slot),
         chunk_steps: number(sizes.message),
         hidden_every: number(sizes.window),
         ..run.clone()
@@ -115,15 +107,12 @@ fn fits(run: &RunDescription, sizes: Sizes) -> bool {
 }
 
 /// The largest sizes that fit and are no larger than `now`. Sequences are shortened last, because that changes what is learnt.
-fn largest(run: &RunDescription, now: Sizes, (count, steps): (usize, usize)) -> Option<Sizes> {
+fn largest(run: &RunDescription, now: Sizes, steps: usize) -> Option<Sizes> {
     for window in divisors(steps, now.window) {
-        for per_slot in divisors(count, now.per_slot) {
-            let messages =
-                divisors(steps, now.message).filter(|steps| steps.is_multiple_of(window));
-            let mut sizes = messages.map(|message| Sizes { per_slot, message, window });
-            if let Some(sizes) = sizes.find(|sizes| fits(run, *sizes)) {
-                return Some(sizes);
-            }
+        let messages = divisors(steps, now.message).filter(|steps| steps.is_multiple_of(window));
+        let mut sizes = messages.map(|message| Sizes { message, window });
+        if let Some(sizes) = sizes.find(|sizes| fits(run, *sizes)) {
+            return Some(sizes);
         }
     }
     None
@@ -146,7 +135,7 @@ fn refused(
         ConfigError::at(resolved.origin(cause), detail)
     };
     let Some(fitting) = fitting else {
-        let least = bytes(run, Sizes { per_slot: 1, message: 1, window: 1 });
+        let least = bytes(run, Sizes { message: 1, window: 1 });
         let least = least.map_or_else(|| "too many".to_owned(), |bytes| bytes.to_string());
         let detail = format!(
             "{URL} = {} does not fit: one step of one environment could have {least} bytes in a message, the limit is \
@@ -155,17 +144,13 @@ fn refused(
         );
         return refused(URL, detail);
     };
-    let sizes = [
-        (keys::PER_SLOT, now.per_slot, fitting.per_slot),
-        (MESSAGE, now.message, fitting.message),
-        (WINDOW, now.window, fitting.window),
-    ];
+    let sizes = [(MESSAGE, now.message, fitting.message), (WINDOW, now.window, fitting.window)];
     // Steps of a message that the user did not give follow.
     let is_free = |key: &str| key == MESSAGE && !resolved.is_given(MESSAGE);
     let mut changed = sizes.into_iter().filter(|(key, now, fits)| now != fits && !is_free(key));
     let set = changed.clone().map(|(key, _, fits)| format!("{key}={fits}"));
     let set = set.collect::<Vec<_>>().join(" ");
-    let (key, value, _) = changed.next().unwrap_or(sizes[1]);
+    let (key, value, _) = changed.next().unwrap_or(sizes[0]);
     let detail = format!(
         "{key} = {value} does not fit this environment: messages could be larger than {limit} bytes; set {set}"
     );
@@ -246,36 +231,29 @@ mod tests {
         }
     }
 
-    fn sizes(observed: usize, per_slot: usize) -> Option<(usize, usize, usize)> {
-        let now = Sizes { per_slot, message: 50, window: 10 };
-        let found = largest(&run(observed), now, (20, 50))?;
-        Some((found.per_slot, found.message, found.window))
+    fn sizes(observed: usize) -> Option<(usize, usize)> {
+        let found = largest(&run(observed), Sizes { message: 50, window: 10 }, 50)?;
+        Some((found.message, found.window))
     }
 
     #[test]
-    fn messages_shrink_before_slots_and_slots_before_sequences() {
+    fn messages_shrink_before_sequences() {
         // A row has 16 bytes for each feature that both agents observe, the limit is 4 MiB.
-        assert_eq!(sizes(3_000, 1), Some((1, 50, 10)));
-        assert_eq!(sizes(20_000, 1), Some((1, 10, 10)));
-        assert_eq!(sizes(3_000, 10), Some((5, 10, 10)));
-        assert_eq!(sizes(84 * 84 * 4, 1), Some((1, 5, 5)));
-        assert_eq!(sizes(300_000, 1), None);
+        assert_eq!(sizes(3_000), Some((50, 10)));
+        assert_eq!(sizes(20_000), Some((10, 10)));
+        assert_eq!(sizes(84 * 84 * 4), Some((5, 5)));
+        assert_eq!(sizes(300_000), None);
     }
 
     fn refusal(settings: &[&str], observed: usize) -> String {
         let config = config(settings);
         let now = Sizes::of(&config);
         let run = run(observed);
-        refused(&config, &run, (now, largest(&run, now, (20, 50)))).to_string()
+        refused(&config, &run, (now, largest(&run, now, 50))).to_string()
     }
 
     #[test]
     fn a_refusal_names_the_setting_the_value_that_fits_and_who_gave_it() {
-        assert_eq!(
-            refusal(&["environments.per_slot=10"], 3_000),
-            "command line: environments.per_slot = 10 does not fit this environment: messages could be \
-             larger than 4177920 bytes; set environments.per_slot=5"
-        );
         assert_eq!(
             refusal(&["environments.message_steps=50"], 20_000),
             "command line: environments.message_steps = 50 does not fit this environment: messages could be \

@@ -275,12 +275,16 @@ fn grouped(curves: &[Curve]) -> Groups<'_> {
 
 /// The variant of each run: runs of a task that differ only in their seed have the same one.
 fn variants(curves: &[Curve]) -> Vec<String> {
-    let variant = |curve: &Curve| {
-        let same =
-            |other: &&Curve| (&other.task, &other.algorithm) == (&curve.task, &curve.algorithm);
-        variant(curve, &curves.iter().filter(same).collect::<Vec<_>>())
-    };
-    curves.iter().map(variant).collect()
+    let mut rivals = BTreeMap::<_, Vec<&Curve>>::new();
+    for curve in curves {
+        rivals.entry((&curve.task, &curve.algorithm)).or_default().push(curve);
+    }
+    let different: BTreeMap<_, _> =
+        rivals.into_iter().map(|(name, runs)| (name, different(&runs))).collect();
+    curves
+        .iter()
+        .map(|curve| variant(curve, &different[&(&curve.task, &curve.algorithm)]))
+        .collect()
 }
 
 /// As [`variants`], with the task before it if there are several.
@@ -292,11 +296,17 @@ pub(crate) fn tasks_and_variants(curves: &[Curve]) -> Vec<String> {
         .collect()
 }
 
-/// The algorithm, then each setting in which some run of the same task and algorithm differs.
-fn variant(curve: &Curve, rivals: &[&Curve]) -> String {
+/// The settings that differ between runs.
+fn different<'a>(runs: &[&'a Curve]) -> BTreeSet<&'a String> {
+    let keys: BTreeSet<&String> = runs.iter().flat_map(|run| run.settings.keys()).collect();
     let differs =
-        |key: &&String| rivals.iter().any(|r| r.settings.get(*key) != curve.settings.get(*key));
-    let overrides = curve.settings.keys().filter(differs);
+        |key: &&String| runs.iter().any(|run| run.settings.get(*key) != runs[0].settings.get(*key));
+    keys.into_iter().filter(differs).collect()
+}
+
+/// The algorithm, then each setting in which some run of the same task and algorithm differs.
+fn variant(curve: &Curve, different: &BTreeSet<&String>) -> String {
+    let overrides = curve.settings.keys().filter(|key| different.contains(key));
     let shown = overrides.map(|key| format!(" {key}={}", curve.settings[key].trim_matches('"')));
     format!("{}{}", curve.algorithm, shown.collect::<String>())
 }

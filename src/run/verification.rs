@@ -13,7 +13,7 @@ use anyhow::{Context as _, ensure};
 use learner::config::EPISODES_LIMIT;
 use learner::observe::event::Event;
 use learner::store::checkpoint::Loaded;
-use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder};
+use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder, START_POLICIES};
 use proto::Digest;
 use serde_json::Value;
 use tokio::runtime::Runtime;
@@ -218,6 +218,11 @@ impl<'a> Verifier<'a> {
     fn copy(&self, iteration: u64, folder: &Path, toml: &str) -> anyhow::Result<()> {
         RunFolder::claim_new(folder)?.begin(toml, &self.recorded.manifest)?;
         self.recorded.checkpoint(iteration)?.copy_to(folder, toml)?;
+        let start = self.recorded.folder.join(START_POLICIES);
+        if start.exists() {
+            let copied = std::fs::copy(&start, folder.join(START_POLICIES));
+            copied.with_context(|| format!("cannot copy {}", start.display()))?;
+        }
         for (name, lines) in
             [(PROVENANCE, &self.recorded.provenance), (METRICS, &self.recorded.metrics)]
         {

@@ -5,7 +5,6 @@
 use marl::{Batch, TrainingConfig};
 use policy::arrays::{Array, NamedArrays};
 use policy::{Head, PolicySnapshot, Scratch};
-use proto::LARGEST_ACTION;
 
 use crate::error::LearnerError;
 use crate::observe::event::IterationReport;
@@ -13,6 +12,10 @@ use crate::train::trainer::RunningTrainer;
 
 /// Share of an iteration's steps above which divergence is an error: few episodes reach their end.
 const SEVERE: f64 = 0.01;
+
+/// Largest mean of a continuous action, whose limits are -1 and 1. Rewards that count squares of actions leave the limit of a message
+/// soon after.
+const LARGEST_MEAN: f32 = 1e4;
 
 const LOWER: &str = "lower update.learning_rate, critic.learning_rate or influence.learning_rate";
 
@@ -48,7 +51,7 @@ pub(super) fn infinite(weights: &NamedArrays) -> Option<Diverged> {
     Some(Diverged { network: network.to_owned(), why })
 }
 
-/// The first policy whose actions no environment accepts, for the observations of the last step of `batch`.
+/// The first policy whose mean actions are far beyond every limit, for the observations of the last step of `batch`.
 pub(super) fn unusable(policies: &PolicySnapshot, batch: &Batch) -> Option<Diverged> {
     let rows = batch.environments;
     let mut scratch = Scratch::default();
@@ -59,7 +62,7 @@ pub(super) fn unusable(policies: &PolicySnapshot, batch: &Batch) -> Option<Diver
         let mut output = vec![0.0; rows * policy.output_size()];
         policy.forward(rows, &own.observation[first..], &mut hidden, &mut output, &mut scratch);
         let largest = match policy.head() {
-            Head::Gaussian | Head::SharedGaussian(_) => LARGEST_ACTION,
+            Head::Gaussian | Head::SharedGaussian(_) => LARGEST_MEAN,
             _ => f32::MAX,
         };
         let found = output.into_iter().find(|value| value.is_nan() || value.abs() > largest)?;
