@@ -37,10 +37,8 @@ fn a_run_that_started_from_another_ends_with_the_same_bits_and_does_not_need_the
     let pack = runs.folder("pack");
     succeeded(&["pack", text(&whole), "--out", text(&pack)]);
     for run in [&whole, &pack] {
-        let ended = command(&["verify", text(run), "--iterations", "4"]).output().unwrap();
-        let [told, logged] =
-            [ended.stdout, ended.stderr].map(|text| String::from_utf8(text).unwrap());
-        assert!(ended.status.success() && !logged.contains("WARN"), "{logged}");
+        let (told, logged) = success(&mut command(&["verify", text(run), "--iterations", "4"]));
+        assert!(!logged.contains("WARN"), "{logged}");
         assert!(told.contains("equal: iterations 1 to 2 from the seed"), "{told}");
         assert!(told.contains("4 of its 4 iterations"), "{told}");
     }
