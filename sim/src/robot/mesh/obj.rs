@@ -3,10 +3,11 @@
 use super::{Mesh, polygon};
 
 /// Reads `v` and `f` lines. Faces with more than three corners are cut into triangles. As in MuJoCo, the faces are those of
-/// the first object or group that has any.
+/// the first object or group that has any, and one with fewer than three corners counts for nothing.
 pub(super) fn read(bytes: &[u8]) -> Result<Mesh, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned())?;
-    let (mut points, mut faces) = (Vec::new(), Vec::new());
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let (mut points, mut faces): (Vec<[f64; 3]>, Vec<Vec<usize>>) = (Vec::new(), Vec::new());
     let mut has_ended = false;
     for (row, line) in text.lines().enumerate() {
         let invalid = || format!("line {} is invalid: {}", row + 1, line.trim());
@@ -18,14 +19,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<Mesh, String> {
                     .map(str::parse)
                     .collect::<Result<_, _>>()
                     .map_err(|_| invalid())?;
-                let point: [f64; 3] = numbers.try_into().map_err(|_| invalid())?;
-                points.push(point);
+                points.push(numbers.try_into().map_err(|_| invalid())?);
             }
             Some("o" | "g") => has_ended = !faces.is_empty(),
             Some("f") if !has_ended => {
                 let corners: Option<Vec<usize>> =
                     words.map(|word| corner(word, points.len())).collect();
-                faces.push(corners.filter(|c| c.len() >= 3).ok_or_else(invalid)?);
+                let corners = corners.ok_or_else(invalid)?;
+                faces.extend(Some(corners).filter(|corners| corners.len() >= 3));
             }
             _ => {}
         }
@@ -78,5 +79,20 @@ mod tests {
             let found = mass(file, volume);
             assert!((found - expected).abs() < 2e-6, "{volume:?}: {found} of {file}");
         }
+    }
+
+    #[test]
+    fn a_byte_order_mark_and_faces_with_fewer_than_three_corners_count_for_nothing() {
+        let expected = read(PYRAMID.as_bytes()).unwrap();
+        for file in [
+            format!("\u{feff}{PYRAMID}"),
+            format!("{PYRAMID}f 1 2\nf 1\nf\n"),
+            format!("g a\nf 1 2\ng b\n{PYRAMID}"),
+        ] {
+            let found = read(file.as_bytes()).unwrap();
+            assert_eq!(found.points, expected.points, "{file}");
+            assert_eq!(found.triangles, expected.triangles, "{file}");
+        }
+        assert_eq!(read(b"v 0 0 0\nf 1 0\n").unwrap_err(), "line 2 is invalid: f 1 0");
     }
 }
