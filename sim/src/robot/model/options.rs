@@ -219,7 +219,7 @@ impl Options {
             least: ["boundmass", "boundinertia"].map(|name| blockers.number(&compiler, name, 0.0)),
             total_mass: Some(blockers.number(&compiler, "settotalmass", -1.0))
                 .filter(|mass| *mass > 0.0),
-            mesh_folder: folder(&compiler),
+            mesh_folder: mesh_folder(root),
             strips_paths: is_set("strippath").unwrap_or(false),
             timestep_secs: blockers.number(&option, "timestep", 0.002),
             gravity: match on("gravity") {
@@ -331,8 +331,12 @@ fn mass_groups(compiler: &Element) -> Result<[i64; 2], String> {
     }
 }
 
-fn folder(compiler: &Element) -> String {
-    compiler.text("meshdir").or(compiler.text("assetdir")).unwrap_or("").to_owned()
+/// Folder of the last `compiler` that states one; in the same element, `meshdir` counts.
+fn mesh_folder(root: &Element) -> String {
+    let stated = |compiler: &Element| {
+        compiler.text("meshdir").or(compiler.text("assetdir")).map(str::to_owned)
+    };
+    root.all("compiler").filter_map(stated).last().unwrap_or_default()
 }
 
 fn contact_rules(option: &Element, blockers: &Blockers) -> ContactRules {
