@@ -43,6 +43,11 @@ fn copies(
     if count < 1 {
         return Err(replicate.refuse_for("count", "`count` must be at least 1"));
     }
+    if let Some(joint) = joint_in(replicate) {
+        let reason =
+            "a <replicate> has no joint outside a <body> in it; move it out, or into a body";
+        return Err(joint.refuse(reason));
+    }
     let mut step = angles.frame(replicate)?;
     step.position = replicate.numbers("offset")?.unwrap_or_default();
     let digits = count.to_string().len();
@@ -64,6 +69,15 @@ fn copies(
         }
     }
     Ok(copies)
+}
+
+/// A joint whose copies would belong to one body.
+fn joint_in(element: &Element) -> Option<&Element> {
+    element.children.iter().find_map(|child| match child.tag.as_str() {
+        "joint" | "freejoint" => Some(child),
+        "frame" => joint_in(child),
+        _ => None,
+    })
 }
 
 /// Rotation of a copy. As in MuJoCo, it has the angles of `euler` times the copy's index; `None` about at most one axis, where
