@@ -223,13 +223,13 @@ fn everything_that_cannot_be_built_is_named_in_lines_of_their_own() {
     let actuators = "\n<motor joint=\"a\" ctrlrange=\"-1 1\"/>\n<muscle joint=\"b\"/>";
     let text = robot(&document(bodies, actuators)).err().unwrap();
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
-    assert!(lines[0].ends_with("5 things are not supported"), "{text}");
+    assert!(lines[0].ends_with("5 things are not supported:"), "{text}");
     for (line, start) in lines[1..].iter().zip([
-        "line 4, <geom>: a height field must be fixed to the world",
-        "line 3, <joint name=\"a\">: the `range` of a ball joint",
-        "line 5, <joint name=\"b\">: `damping` must lie in 0..=",
-        "line 5, <body>: a body that moves must have a mass",
-        "line 9, <muscle joint=\"b\">: this actuator",
+        "(1) line 4, <geom>: a height field must be fixed to the world",
+        "(2) line 3, <joint name=\"a\">: the `range` of a ball joint",
+        "(3) line 5, <joint name=\"b\">: `damping` must lie in 0..=",
+        "(4) line 5, <body>: a body that moves must have a mass",
+        "(5) line 9, <muscle joint=\"b\">: this actuator",
     ]) {
         assert!(line.starts_with(start), "{line} instead of {start}");
     }
