@@ -151,6 +151,6 @@ fn an_actor_whose_certificate_expires_keeps_its_connection_and_a_new_one_reads_t
 #[test]
 fn a_learner_whose_certificate_expires_keeps_its_connections_and_gets_no_new_ones() {
     let mut guarded = Guarded::start("server");
-    guarded.is_refused("the learner's certificate is refused: certificate expired");
+    guarded.is_refused("the learner's certificate is refused: it expired");
     stopped(&mut guarded.learner, [guarded.actor]);
 }

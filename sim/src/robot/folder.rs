@@ -93,8 +93,8 @@ impl<'a> Folder<'a> {
         text(&path, bytes).map(|text| (path, text))
     }
 
-    /// Path and content of a file that an element of the file `stated_in` names, in the folder `subfolder` next to the document,
-    /// or without a subfolder next to that file.
+    /// Path and content of a file that an element of the file `stated_in` names, in the folder `subfolder` next to the document.
+    /// As in MuJoCo, an included file may have files next to itself, in no subfolder.
     pub(super) fn read(
         &mut self,
         subfolder: &str,
@@ -104,12 +104,13 @@ impl<'a> Folder<'a> {
         [subfolder, name].into_iter().try_for_each(check_relative)?;
         let own = folder_of(&self.path).to_owned();
         let found = self.read_from([&own, subfolder, name]);
-        let beside =
-            stated_in.map(folder_of).filter(|beside| subfolder.is_empty() && *beside != own);
-        match (found, beside) {
-            (Err(reason), Some(beside)) => self
-                .read_from([beside, "", name])
-                .map_err(|other| format!("{reason}, and beside the file that names it: {other}")),
+        match (found, stated_in.map(folder_of)) {
+            (Err(reason), Some(beside)) => self.read_from([beside, "", name]).map_err(|other| {
+                if other == reason {
+                    return reason;
+                }
+                format!("{reason}, and beside the file that names it: {other}")
+            }),
             (found, _) => found,
         }
     }
@@ -189,11 +190,11 @@ fn resolved(path: &str) -> Result<String, String> {
 mod tests {
     use super::*;
 
-    /// Only beside the file that names it, or beside the document, which counts first.
+    /// MuJoCo 4.0.0 finds them in the same places: the folder of meshes next to the document counts first.
     #[test]
     fn a_file_is_beside_the_document_or_the_file_that_names_it() {
         let source = |path: &str| match path {
-            "a.xml" | "b/a.xml" | "b/c.xml" | "m/b.stl" => Ok(path.as_bytes().to_vec()),
+            "a.xml" | "b/a.xml" | "b/c.xml" | "m/b.stl" | "b/b.stl" => Ok(path.as_bytes().to_vec()),
             _ => Err(format!("{path} does not exist")),
         };
         let mut folder = Folder::new("robot.xml", &source).unwrap();
@@ -204,7 +205,11 @@ mod tests {
         let both =
             "d.xml does not exist, and beside the file that names it: b/d.xml does not exist";
         assert_eq!(read("", "d.xml").unwrap_err(), both);
-        assert_eq!(read("m", "c.xml").unwrap_err(), "m/c.xml does not exist");
+        assert_eq!(read("m", "b.stl").unwrap().0, "m/b.stl");
+        assert_eq!(read("m", "c.xml").unwrap().0, "b/c.xml");
+        assert_eq!(read("m", "a.xml").unwrap().0, "b/a.xml");
+        assert_eq!(read("b", "d.xml").unwrap_err(), "b/d.xml does not exist");
+        assert_eq!(folder.read("m", "a.xml", None).unwrap_err(), "m/a.xml does not exist");
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! Triangle meshes of a model: binary STL, OBJ and MSH files, their convex hulls, and the masses that they enclose.
 
 mod hull;
+mod obj;
+mod polygon;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -43,7 +45,7 @@ impl Mesh {
         let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
         let mesh = match ending.as_deref() {
             Some("stl") => read_stl(bytes),
-            Some("obj") => read_obj(bytes),
+            Some("obj") => obj::read(bytes),
             Some("msh") => read_msh(bytes),
             _ => Err("it is not an STL, OBJ or MSH file; convert it to one".to_owned()),
         };
@@ -257,49 +259,6 @@ fn read_msh(bytes: &[u8]) -> Result<Mesh, String> {
             .map(|face| face.map(|index| u32::from_le_bytes(index) as usize))
             .collect(),
     })
-}
-
-/// Reads `v` and `f` lines. Faces with more than three corners become fans. As in MuJoCo, the faces are those of the first
-/// object or group that has any.
-fn read_obj(bytes: &[u8]) -> Result<Mesh, String> {
-    let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned())?;
-    let mut mesh = Mesh { points: Vec::new(), triangles: Vec::new() };
-    let mut has_ended = false;
-    for (row, line) in text.lines().enumerate() {
-        let invalid = || format!("line {} is invalid: {}", row + 1, line.trim());
-        let mut words = line.split_ascii_whitespace();
-        match words.next() {
-            Some("v") => {
-                let numbers: Vec<f64> = words
-                    .take(3)
-                    .map(str::parse)
-                    .collect::<Result<_, _>>()
-                    .map_err(|_| invalid())?;
-                mesh.points.push(numbers.try_into().map_err(|_| invalid())?);
-            }
-            Some("o" | "g") => has_ended = !mesh.triangles.is_empty(),
-            Some("f") if !has_ended => {
-                let corners: Option<Vec<usize>> =
-                    words.map(|word| corner(word, mesh.points.len())).collect();
-                let corners = corners.filter(|c| c.len() >= 3).ok_or_else(invalid)?;
-                for pair in corners[1..].windows(2) {
-                    mesh.triangles.push([corners[0], pair[0], pair[1]]);
-                }
-            }
-            _ => {}
-        }
-    }
-    Ok(mesh)
-}
-
-/// Index of a corner such as `7/1/3`; negative numbers count from the last vertex.
-fn corner(word: &str, points: usize) -> Option<usize> {
-    let number: isize = word.split('/').next()?.parse().ok()?;
-    match number {
-        0 => None,
-        1.. => usize::try_from(number - 1).ok(),
-        _ => points.checked_add_signed(number),
-    }
 }
 
 #[cfg(test)]

@@ -34,16 +34,18 @@ impl Classes {
             let main = classes.0.remove(MAIN).unwrap_or_default();
             classes.add(default, MAIN, main, &mut reasons);
         }
-        // All outermost elements describe the main class, which then has their names too.
+        // MuJoCo refuses other names of the main class. What uses them is no further reason.
         let main = classes.0.get(MAIN).cloned().unwrap_or_default();
-        let mut names = BTreeSet::from([MAIN]);
+        let mut names = BTreeSet::from(["", MAIN]);
         for default in root.all("default") {
             let Some(name) = default.text("class").filter(|name| names.insert(*name)) else {
                 continue;
             };
-            if classes.0.insert(name.to_owned(), main.clone()).is_some() {
-                reasons.push(twice(default, name));
-            }
+            reasons.push(default.refuse(
+                "an outermost default has the class `main`; remove its `class`, or put it into another \
+                 <default>",
+            ));
+            classes.0.entry(name.to_owned()).or_insert_with(|| main.clone());
         }
         (classes, reasons)
     }

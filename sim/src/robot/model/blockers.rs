@@ -49,7 +49,7 @@ impl Blockers {
         self.0.borrow().causes.is_empty()
     }
 
-    /// All reasons as one error, each in a line if there are several.
+    /// All reasons as one error. Several have numbers, and lines of their own, which a log may join.
     pub(super) fn finish(&self) -> Result<(), String> {
         let reasons = self.0.borrow();
         let (shown, count) = (&reasons.shown, reasons.causes.len());
@@ -58,11 +58,12 @@ impl Blockers {
             [reason] if count == 1 => return Err(reason.clone()),
             _ => {}
         }
-        let more = match count - shown.len() {
-            0 => String::new(),
-            more => format!("\n  and {more} more"),
-        };
-        Err(format!("{count} things are not supported\n  {}{more}", shown.join("\n  ")))
+        let numbered = (1..).zip(shown).map(|(number, reason)| format!("({number}) {reason}"));
+        let mut lines: Vec<String> = numbered.collect();
+        if count > shown.len() {
+            lines.push(format!("and {} more", count - shown.len()));
+        }
+        Err(format!("{count} things are not supported:\n  {}", lines.join(";\n  ")))
     }
 }
 
@@ -77,8 +78,9 @@ mod tests {
         (0..23).for_each(|line| blockers.note(format!("line {line}")));
         blockers.note("line 3".to_owned());
         let text = blockers.finish().unwrap_err();
-        assert!(text.starts_with("23 things are not supported\n  line 0\n  line 1\n"), "{text}");
-        assert!(text.ends_with("\n  line 19\n  and 3 more"), "{text}");
+        let start = "23 things are not supported:\n  (1) line 0;\n  (2) line 1;\n";
+        assert!(text.starts_with(start), "{text}");
+        assert!(text.ends_with(";\n  (20) line 19;\n  and 3 more"), "{text}");
     }
 
     #[test]

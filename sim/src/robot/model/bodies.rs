@@ -57,8 +57,7 @@ impl Body {
 pub(super) fn flat(root: &Element, context: &Context) -> Vec<Body> {
     let mut bodies = vec![new_body(root, "world".to_owned(), 0, IDENTITY)];
     for world in root.all("worldbody") {
-        let childclass = world.text("childclass");
-        fill(&mut bodies, 0, world, (childclass, IDENTITY), context);
+        fill(&mut bodies, 0, world, (None, IDENTITY), context);
     }
     for index in 1..bodies.len() {
         bodies[index].is_static =

@@ -37,6 +37,10 @@ const KNOWN: [&str; 20] = [
     "rgba",
     "user",
 ];
+/// Types with a size, all but the first also between two points.
+const SOLIDS: [&str; 5] = ["sphere", "capsule", "cylinder", "box", "ellipsoid"];
+/// Types whose size other elements state.
+const UNSIZED: [&str; 3] = ["mesh", "hfield", "sdf"];
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 
@@ -67,16 +71,36 @@ impl Geom {
         }
         let surface = Surface::read(&element)?;
         let [first, last] = context.options.mass_groups;
-        let ends = element.numbers("fromto")?;
-        Ok(Self {
+        let geom = Self {
             frame: outer.then(&context.options.angles.frame(&element)?),
             outer,
-            ends: ends.map(|[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]),
+            ends: ends(&element)?,
             surface,
             is_paired: element.text("name").is_some_and(|name| context.paired.contains(name)),
             is_heavy: (first..=last).contains(&element.integer("group", 0)?),
             element,
-        })
+        };
+        geom.check()?;
+        Ok(geom)
+    }
+
+    /// Refuses a type or size that MuJoCo refuses, also of a shape that is used no further since nothing can touch it.
+    fn check(&self) -> Result<(), String> {
+        let element = &self.element;
+        match self.kind() {
+            "plane" => {
+                let third = element.text("size").and_then(|size| size.split_whitespace().nth(2));
+                let third = third.and_then(|number| number.parse::<f64>().ok());
+                if third.is_some_and(|number| number > 0.0) {
+                    return Ok(());
+                }
+                let reason = "the third number of a plane's `size` must be positive; set it, such as in 0 0 1";
+                Err(element.refuse_for("size", reason))
+            }
+            kind if UNSIZED.contains(&kind) => Ok(()),
+            kind if SOLIDS.contains(&kind) && element.text("mesh").is_some() => Ok(()),
+            _ => self.primitive().map(drop),
+        }
     }
 
     /// Its name, or nothing.
@@ -117,7 +141,7 @@ impl Geom {
     }
 
     fn kind(&self) -> &str {
-        self.element.text("type").unwrap_or("sphere")
+        kind(&self.element)
     }
 
     /// Whether the shape has a mass.
@@ -132,10 +156,18 @@ impl Geom {
         meshes: &mut Meshes,
         folder: &mut Folder<'_>,
     ) -> Result<(Shape, Pose), String> {
-        let element = &self.element;
         if self.is_mesh() {
-            return Ok((Shape::Hull(meshes.hull(element, folder)?), self.frame.pose()));
+            Ok((Shape::Hull(meshes.hull(&self.element, folder)?), self.frame.pose()))
+        } else if SOLIDS.contains(&self.kind()) && self.element.text("mesh").is_some() {
+            self.fitted(meshes, folder)
+        } else {
+            self.primitive()
         }
+    }
+
+    /// A shape that needs no mesh.
+    fn primitive(&self) -> Result<(Shape, Pose), String> {
+        let element = &self.element;
         let (count, after) = match self.kind() {
             "sphere" => (1, 1),
             "capsule" | "cylinder" => (2, 1),
@@ -145,9 +177,6 @@ impl Geom {
                 return Err(element.refuse_for("type", reason));
             }
         };
-        if element.text("mesh").is_some() {
-            return self.fitted(meshes, folder);
-        }
         let size = element.list("size")?.unwrap_or_default();
         if size.len() > 3 {
             return Err(element.refuse_for("size", "`size` must have at most 3 numbers"));
@@ -161,9 +190,6 @@ impl Geom {
         let Some(ends) = self.ends else {
             return Ok((form(self.kind(), &size), self.frame.pose()));
         };
-        if self.kind() == "sphere" {
-            return Err(element.refuse_for("fromto", "a sphere has no `fromto`; remove it"));
-        }
         // The direction matters for a box, whose other two axes turn with it.
         let ends = if count == 3 { [ends[1], ends[0]] } else { ends };
         let same = "`fromto` names the same point twice; set two different ones";
@@ -183,11 +209,6 @@ impl Geom {
         folder: &mut Folder<'_>,
     ) -> Result<(Shape, Pose), String> {
         let element = &self.element;
-        if self.ends.is_some() {
-            return Err(
-                element.refuse_for("fromto", "a shape with a `mesh` has no `fromto`; remove it")
-            );
-        }
         let hull = meshes.hull(element, folder)?;
         let (centre, [x, y, z], axes) = meshes.solid(element, &hull)?.half_box();
         let size = match self.kind() {
@@ -276,6 +297,28 @@ impl Geom {
         };
         Ok(GroundPlan { name: self.name(), form, pose, surface: self.surface, body })
     }
+}
+
+fn kind(element: &Element) -> &str {
+    element.text("type").unwrap_or("sphere")
+}
+
+/// The two points of `fromto`. As in MuJoCo, a shape with them has no other position, and only some forms have them.
+fn ends(element: &Element) -> Result<Option<[[f64; 3]; 2]>, String> {
+    let Some([a, b, c, d, e, f]) = element.numbers::<6>("fromto")? else { return Ok(None) };
+    let kind = kind(element);
+    if !SOLIDS[1..].contains(&kind) {
+        let reason = format!("a shape of the type `{kind}` has no `fromto`; remove it");
+        return Err(element.refuse_for("fromto", reason));
+    }
+    if element.text("mesh").is_some() {
+        let reason = "a shape with a `mesh` has no `fromto`; remove it";
+        return Err(element.refuse_for("fromto", reason));
+    }
+    if element.numbers::<3>("pos")?.is_some_and(|position| position != [0.0; 3]) {
+        return Err(element.refuse_for("pos", "it has both `pos` and `fromto`; remove one"));
+    }
+    Ok(Some([[a, b, c], [d, e, f]]))
 }
 
 /// Volume of a box, cylinder or ellipsoid, m^3, and the mean squares of its points' coordinates, m^2.

@@ -35,15 +35,15 @@ const CHILDREN: [(&str, &[&str]); 4] = [
     ("asset", &["texture", "material", "mesh", "hfield", "skin", "model"]),
     ("contact", &["pair", "exclude"]),
 ];
-/// Sections, their own attributes, and the most elements in all sections of a name.
-const PLAIN: [(&str, &[&str], usize); 7] = [
-    ("asset", &[], 5000),
-    ("worldbody", &["childclass"], 5000),
-    ("actuator", &[], 1000),
-    ("contact", &[], 5000),
-    ("equality", &[], 1000),
-    ("tendon", &[], 1000),
-    ("keyframe", &[], 1000),
+/// Sections without attributes, and the most elements in all sections of a name.
+const PLAIN: [(&str, usize); 7] = [
+    ("asset", 5000),
+    ("worldbody", 5000),
+    ("actuator", 1000),
+    ("contact", 5000),
+    ("equality", 1000),
+    ("tendon", 1000),
+    ("keyframe", 1000),
 ];
 /// Sections whose elements have different names, whatever their tags.
 const NAMED: [&str; 3] = ["actuator", "equality", "tendon"];
@@ -219,7 +219,7 @@ impl Options {
             least: ["boundmass", "boundinertia"].map(|name| blockers.number(&compiler, name, 0.0)),
             total_mass: Some(blockers.number(&compiler, "settotalmass", -1.0))
                 .filter(|mass| *mass > 0.0),
-            mesh_folder: folder(&compiler),
+            mesh_folder: mesh_folder(root),
             strips_paths: is_set("strippath").unwrap_or(false),
             timestep_secs: blockers.number(&option, "timestep", 0.002),
             gravity: match on("gravity") {
@@ -254,8 +254,8 @@ fn merged(root: &Element) -> [Element; 3] {
 
 /// Refuses sections with too many elements.
 pub(super) fn check_size(root: &Element) -> Result<(), String> {
-    let counts = PLAIN
-        .map(|(tag, _, most)| (tag, root.all(tag).flat_map(|own| &own.children).count(), most));
+    let counts =
+        PLAIN.map(|(tag, most)| (tag, root.all(tag).flat_map(|own| &own.children).count(), most));
     match counts.into_iter().find(|(_, count, most)| count > most) {
         None => Ok(()),
         Some((tag, count, most)) => {
@@ -266,9 +266,9 @@ pub(super) fn check_size(root: &Element) -> Result<(), String> {
 
 fn check_sections(root: &Element, blockers: &Blockers) {
     blockers.keep(root.only(&[&["model"]]));
-    for (tag, known, _) in PLAIN {
+    for (tag, _) in PLAIN {
         for section in root.all(tag) {
-            blockers.keep(section.only(&[known]));
+            blockers.keep(section.only(&[]));
         }
         let elements = root.all(tag).flat_map(|section| &section.children);
         if NAMED.contains(&tag) {
@@ -331,8 +331,12 @@ fn mass_groups(compiler: &Element) -> Result<[i64; 2], String> {
     }
 }
 
-fn folder(compiler: &Element) -> String {
-    compiler.text("meshdir").or(compiler.text("assetdir")).unwrap_or("").to_owned()
+/// Folder of the last `compiler` that states one; in the same element, `meshdir` counts.
+fn mesh_folder(root: &Element) -> String {
+    let stated = |compiler: &Element| {
+        compiler.text("meshdir").or(compiler.text("assetdir")).map(str::to_owned)
+    };
+    root.all("compiler").filter_map(stated).last().unwrap_or_default()
 }
 
 fn contact_rules(option: &Element, blockers: &Blockers) -> ContactRules {

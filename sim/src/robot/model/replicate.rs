@@ -5,6 +5,9 @@ use super::super::folder::Folder;
 use super::super::frame::{Angles, Frame, IDENTITY};
 use super::options;
 
+/// Attributes of `replicate`.
+const KNOWN: [&str; 4] = ["count", "sep", "offset", "euler"];
+
 /// Replaces each `replicate` in the world by its copies. MuJoCo has none in other sections.
 pub(super) fn expand(root: &mut Element, folder: &mut Folder<'_>) -> Result<(), String> {
     // An error is noted where the settings are read.
@@ -29,16 +32,21 @@ fn expand_in(
     Ok(())
 }
 
-/// The copies as frames, each moved and turned in the frame of the one before.
+/// The copies as frames, each moved in the frame of the one before.
 fn copies(
     replicate: &Element,
     angles: &Angles,
     folder: &mut Folder<'_>,
 ) -> Result<Vec<Element>, String> {
-    replicate.only(&[&["count", "sep", "offset", "euler"]])?;
+    replicate.only(&[&KNOWN])?;
     let count = replicate.integer("count", 0)?;
     if count < 1 {
         return Err(replicate.refuse_for("count", "`count` must be at least 1"));
+    }
+    if let Some(joint) = joint_in(replicate) {
+        let reason =
+            "a <replicate> has no joint outside a <body> in it; move it out, or into a body";
+        return Err(joint.refuse(reason));
     }
     let mut step = angles.frame(replicate)?;
     step.position = replicate.numbers("offset")?.unwrap_or_default();
@@ -56,19 +64,46 @@ fn copies(
         }
         copies.push(copy);
         frame = frame.then(&step);
+        if let Some(rotation) = turned(replicate, index + 1, angles)? {
+            frame.rotation = rotation;
+        }
     }
     Ok(copies)
+}
+
+/// A joint whose copies would belong to one body.
+fn joint_in(element: &Element) -> Option<&Element> {
+    element.children.iter().find_map(|child| match child.tag.as_str() {
+        "joint" | "freejoint" => Some(child),
+        "frame" => joint_in(child),
+        _ => None,
+    })
+}
+
+/// Rotation of a copy. As in MuJoCo, it has the angles of `euler` times the copy's index; `None` about at most one axis, where
+/// the product of the steps is the same rotation.
+fn turned(replicate: &Element, index: i64, angles: &Angles) -> Result<Option<[f64; 4]>, String> {
+    let step: [f64; 3] = replicate.numbers("euler")?.unwrap_or_default();
+    if step.iter().filter(|angle| **angle != 0.0).count() < 2 {
+        return Ok(None);
+    }
+    let euler = text(&step.map(|angle| angle * index as f64));
+    let turned = replicate.with([("euler".to_owned(), euler)].into());
+    angles.frame(&turned).map(|frame| Some(frame.rotation))
 }
 
 /// A frame without elements.
 fn placed(replicate: &Element, frame: &Frame) -> Element {
     let [x, y, z, w] = frame.rotation;
-    let text = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
     let attributes = [("pos", text(&frame.position)), ("quat", text(&[w, x, y, z]))];
     let attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
     let mut placed = replicate.with(attributes);
     "frame".clone_into(&mut placed.tag);
     placed
+}
+
+fn text(numbers: &[f64]) -> String {
+    numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
 }
 
 /// A copy of an element and of all in it, with this end of the names.

@@ -176,6 +176,45 @@ fn replicated_elements_are_moved_and_turned_and_have_numbers() {
     );
 }
 
+/// MuJoCo 4.0.0 has these places (`xpos`): the rotation of a copy has the angles of `euler` times its index.
+#[test]
+fn copies_that_turn_about_several_axes_have_multiples_of_their_angles() {
+    let [degrees, radians] = ["<compiler/>", "<compiler angle=\"radian\" eulerseq=\"ZyX\"/>"];
+    for (compiler, step, places) in [
+        (
+            degrees,
+            "offset=\"0 0 1\" euler=\"90 90 0\"",
+            [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]],
+        ),
+        (
+            degrees,
+            "offset=\".3 .02 .1\" euler=\"10 20 30\"",
+            [[1.0, 0.0, 0.0], [1.113798, 0.563838, -0.104874], [0.951967, 1.107018, 0.131642]],
+        ),
+        (
+            radians,
+            "offset=\".3 .02 .1\" euler=\".3 .5 -.4\"",
+            [[1.0, 0.0, 0.0], [1.138387, 0.072174, -0.442573], [1.037338, -0.29061, -0.800007]],
+        ),
+        (
+            degrees,
+            "offset=\".3 .02 .1\" euler=\"0 20 0\"",
+            [[1.0, 0.0, 0.0], [1.239693, 0.02, -0.24202], [1.382154, 0.04, -0.551424]],
+        ),
+    ] {
+        let robot = robot(&format!(
+            "<mujoco>{compiler}<worldbody><replicate count=\"3\" {step}><body name=\"r\" pos=\"1 0 0\"><joint/>\
+             <geom size=\".1\"/></body></replicate></worldbody></mujoco>"
+        ));
+        let robot = robot.unwrap();
+        for (body, place) in (1..).zip(places) {
+            let found = robot.place(body).motion(&[0.0; 3], &[0.0; 3]).position.to_array();
+            let off = found.iter().zip(place).map(|(a, b): (&f64, f64)| (a - b).abs());
+            assert!(off.fold(0.0, f64::max) < 2e-6, "{step} {body}: {found:?}");
+        }
+    }
+}
+
 #[test]
 fn without_contacts_walls_touch_nothing() {
     let wall = format!("<geom type=\"box\" size=\"1 1 1\"/>{LOPSIDED}");
@@ -201,13 +240,13 @@ fn everything_that_cannot_be_built_is_named_in_lines_of_their_own() {
     let actuators = "\n<motor joint=\"a\" ctrlrange=\"-1 1\"/>\n<muscle joint=\"b\"/>";
     let text = robot(&document(bodies, actuators)).err().unwrap();
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
-    assert!(lines[0].ends_with("5 things are not supported"), "{text}");
+    assert!(lines[0].ends_with("5 things are not supported:"), "{text}");
     for (line, start) in lines[1..].iter().zip([
-        "line 4, <geom>: a height field must be fixed to the world",
-        "line 3, <joint name=\"a\">: the `range` of a ball joint",
-        "line 5, <joint name=\"b\">: `damping` must lie in 0..=",
-        "line 5, <body>: a body that moves must have a mass",
-        "line 9, <muscle joint=\"b\">: this actuator",
+        "(1) line 4, <geom>: a height field must be fixed to the world",
+        "(2) line 3, <joint name=\"a\">: the `range` of a ball joint",
+        "(3) line 5, <joint name=\"b\">: `damping` must lie in 0..=",
+        "(4) line 5, <body>: a body that moves must have a mass",
+        "(5) line 9, <muscle joint=\"b\">: this actuator",
     ]) {
         assert!(line.starts_with(start), "{line} instead of {start}");
     }

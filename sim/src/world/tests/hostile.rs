@@ -230,9 +230,12 @@ fn wrong_settings_are_listed_with_everything_else_that_is_wrong() {
         .replace("<mesh name=\"m\"", "<mesh");
     let text = robot(&model).err().unwrap();
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
-    assert!(lines[0].ends_with("6 things are not supported"), "{text}");
-    let starts =
-        ["line 2, <compiler>: angle=", "line 3, <option>: `timestep`", "line 3, <option>: cone="];
+    assert!(lines[0].ends_with("6 things are not supported:"), "{text}");
+    let starts = [
+        "(1) line 2, <compiler>: angle=",
+        "(2) line 3, <option>: `timestep`",
+        "(3) line 3, <option>: cone=",
+    ];
     for (line, start) in lines[1..].iter().zip(starts) {
         assert!(line.starts_with(start), "{line} instead of {start}");
     }

@@ -259,7 +259,7 @@ fn a_frictionless_shape_slides_on_and_masks_decide_what_touches_the_floor() {
     assert!(slid("contype=\"1\" conaffinity=\"1\"").1 < -1.0, "it falls through the floor");
 }
 
-/// As in MuJoCo: an outermost class is the main one, whatever its name, and several of them are one.
+/// As in MuJoCo: an outermost class is the main one, and several of them are one.
 #[test]
 fn outermost_defaults_hold_for_shapes_without_a_class() {
     let mass = |defaults: &str| {
@@ -268,8 +268,8 @@ fn outermost_defaults_hold_for_shapes_without_a_class() {
         robot(&mjcf).unwrap().masses().map(|(_, mass, _)| mass).sum::<f32>()
     };
     let water = mass("");
-    let named = "<default class=\"a\"><geom density=\"500\"/></default>";
-    let inner = "<default class=\"b\"><default class=\"c\"/></default>";
+    let named = "<default class=\"main\"><geom density=\"500\"/></default>";
+    let inner = "<default class=\"\"><default class=\"c\"/></default>";
     assert_near(
         "density",
         &[mass(named), mass(&format!("{named}{inner}"))],

@@ -192,6 +192,33 @@ fn fitted_shapes_and_height_fields_of_files_are_stated() {
     assert_near("a fitted capsule", &corner(got.1), &corner(expected.1));
 }
 
+/// MuJoCo 4.0.0 reads meshes from these folders.
+#[test]
+fn the_last_folder_of_meshes_counts_and_of_one_element_that_of_meshes_alone() {
+    for (compilers, expected) in [
+        ("<compiler meshdir=\"a\"/><compiler meshdir=\"b\"/>", "b"),
+        ("<compiler meshdir=\"a\"/><compiler assetdir=\"b\"/>", "b"),
+        ("<compiler assetdir=\"a\"/><compiler meshdir=\"b\"/>", "b"),
+        ("<compiler meshdir=\"b\" assetdir=\"a\"/><compiler angle=\"radian\"/>", "b"),
+        ("<compiler meshdir=\"a\"/><compiler meshdir=\"\"/>", ""),
+    ] {
+        let mjcf = format!(
+            "<mujoco>{compilers}<asset><mesh file=\"m.obj\"/></asset><worldbody><body><joint/>\
+             <geom type=\"mesh\" mesh=\"m\"/></body></worldbody></mujoco>"
+        );
+        let path = [expected, "m.obj"].join("/");
+        let source = |name: &str| {
+            let is_it = name == path.trim_start_matches('/');
+            if is_it {
+                Ok(WEDGE.as_bytes().to_vec())
+            } else {
+                Err(format!("{name} is another file"))
+            }
+        };
+        assert_eq!(robot_of_files(&mjcf, &source).err(), None, "{compilers}");
+    }
+}
+
 #[test]
 fn every_source_of_masses_survives() {
     for compiler in ["inertiafromgeom=\"true\"", "inertiafromgeom=\"auto\" settotalmass=\"7\""] {
