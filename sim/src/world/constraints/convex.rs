@@ -145,7 +145,7 @@ mod tests {
         let cylinder =
             Convex::shared(&Form::Cylinder { half_length: 0.1, radius: 0.1 }, &Pose::IDENTITY);
         let below = Convex::shared(&Form::Box { half_sizes: [1.0; 3] }, &Pose::IDENTITY);
-        for (degrees, count) in [(0.0_f32, 5), (8.0, 1), (60.0, 1), (90.0, 2)] {
+        for (degrees, count) in [(0.0_f32, 5), (8.0, 1), (60.0, 1), (90.0, 3)] {
             let turn = Rotation::from_rotation_x(degrees.to_radians());
             let (sine, cosine) = libm::sincosf(degrees.to_radians());
             let height = 1.0 + 0.1 * (sine + cosine) - DEPTH;
