@@ -41,11 +41,7 @@ pub(super) fn read(
         context.blockers.keep(check_names(of(root, tag)));
     }
     for element in of(root, "pair").filter(|_| context.options.has_contacts) {
-        let plan = pair(element, context, &shapes).and_then(|plan| {
-            let is_new = rules.pairs.iter().all(|other| other.shapes != plan.shapes);
-            if is_new { Ok(plan) } else { Err(refuse_second(element)) }
-        });
-        rules.pairs.extend(context.blockers.keep(plan));
+        rules.pairs.extend(context.blockers.keep(pair(element, context, &shapes)));
     }
     rules.pairs.sort_by_key(|pair| pair.shapes);
     for element in of(root, "exclude") {
@@ -85,14 +81,6 @@ fn pair(
         shapes: [first.min(second), first.max(second)],
         contact: contact(&element, context)?,
     })
-}
-
-/// Error message for a second pair of the same shapes: in MuJoCo, they would touch twice.
-fn refuse_second(element: &Element) -> String {
-    let [first, second] = ["geom1", "geom2"].map(|key| element.text(key).unwrap_or_default());
-    element.refuse(format!(
-        "another <pair> has the shapes `{first}` and `{second}`, too; merge them into one pair"
-    ))
 }
 
 /// The contact of a pair. What the pair does not state has MuJoCo's defaults; properties of the shapes do not count.

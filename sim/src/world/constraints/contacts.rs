@@ -161,7 +161,7 @@ impl Touching {
         if !is_link(first) && !is_link(second) {
             return false;
         }
-        if self.pair(pair).is_some() {
+        if !self.own_rules(pair).is_empty() {
             return true;
         }
         let bodies = [first.body.min(second.body), first.body.max(second.body)];
@@ -188,11 +188,13 @@ impl Touching {
         meets && are_apart && !self.rules.excluded.contains(&bodies)
     }
 
-    /// The rules of a pair of shapes, if it has its own.
-    fn pair(&self, [first, second]: [usize; 2]) -> Option<&PairPlan> {
+    /// The rules of a pair of shapes itself; by each of several they touch once, as in MuJoCo.
+    fn own_rules(&self, [first, second]: [usize; 2]) -> &[PairPlan] {
         let shapes = [first.min(second), first.max(second)];
         let pairs = &self.rules.pairs;
-        pairs.binary_search_by_key(&shapes, |pair| pair.shapes).ok().map(|index| &pairs[index])
+        let start = pairs.partition_point(|pair| pair.shapes < shapes);
+        let count = pairs[start..].partition_point(|pair| pair.shapes == shapes);
+        &pairs[start..start + count]
     }
 
     /// Adds the contacts of all shapes. Returns whether there are no more than a step may have.
@@ -209,8 +211,11 @@ impl Touching {
             return false;
         }
         (0..self.pairs.len()).all(|index| {
-            self.add_pair(blueprint, (self.pairs[index], physics), start, problem);
-            self.normals.len() <= MOST_CONTACTS
+            let pair = self.pairs[index];
+            (0..self.own_rules(pair).len().max(1)).all(|rule| {
+                self.add_pair(blueprint, (pair, rule, physics), start, problem);
+                self.normals.len() <= MOST_CONTACTS
+            })
         })
     }
 
@@ -248,25 +253,25 @@ impl Touching {
         self.find_pairs(physics, start);
         let pairs = std::mem::take(&mut self.pairs);
         let depth = |pair: [usize; 2]| {
-            self.touch_pair(blueprint, (pair, physics), start)?;
+            self.touch_pair(blueprint, (pair, 0, physics), start)?;
             let points = self.manifolds.iter().flat_map(|manifold| &manifold.points);
             Some((pair, points.map(|point| -point.dist).reduce(f32::max)?))
         };
         pairs.into_iter().filter_map(depth).collect()
     }
 
-    /// Finds the points in which the shapes of a pair touch. Returns their contact and the poses of their colliders; `None`
+    /// Finds the points in which the shapes of a pair touch, by the own rule of this index if they have any. Returns their contact and the poses of their colliders; `None`
     /// if one of them touches nothing.
     fn touch_pair(
         &mut self,
         blueprint: &Blueprint,
-        (pair, physics): ([usize; 2], &PhysicsWorld),
+        (pair, rule, physics): ([usize; 2], usize, &PhysicsWorld),
         start: &Motion,
     ) -> Option<(ContactPlan, [Pose; 2])> {
         let shapes = pair.map(|shape| &self.shapes[shape]);
         let [Some(one), Some(other)] = shapes.map(|shape| shape.surface) else { return None };
         let colliders = self.colliders(pair, physics)?;
-        let plan = match self.pair(pair) {
+        let plan = match self.own_rules(pair).get(rule) {
             Some(pair) => pair.contact,
             None => one.contact(&other, &self.rules.stated, blueprint.timestep_secs),
         };
@@ -296,11 +301,11 @@ impl Touching {
     fn add_pair(
         &mut self,
         blueprint: &Blueprint,
-        (pair, physics): ([usize; 2], &PhysicsWorld),
+        (pair, rule, physics): ([usize; 2], usize, &PhysicsWorld),
         start: &Motion,
         problem: &mut ConstraintProblem,
     ) {
-        let touched = self.touch_pair(blueprint, (pair, physics), start);
+        let touched = self.touch_pair(blueprint, (pair, rule, physics), start);
         let (Some((plan, poses)), Some(colliders)) = (touched, self.colliders(pair, physics))
         else {
             return;

@@ -31,6 +31,28 @@ fn robots_and_objects_move_as_in_mujoco() {
     });
 }
 
+/// Coordinates and velocities after 60 steps in MuJoCo 4.0.0, with either order of the pairs.
+#[test]
+fn shapes_that_two_pairs_name_touch_twice() {
+    let mjcf = "<mujoco><option gravity=\"3 0 -9.81\"/><worldbody><geom name=\"f\" type=\"plane\" size=\"1 1 1\"/>\
+        <body name=\"b\" pos=\"0 0 .0999\"><freejoint/><geom name=\"a\" size=\".1\" mass=\"1\"/></body></worldbody><contact>\
+        <pair geom1=\"a\" geom2=\"f\" friction=\"1 1\"/><pair geom1=\"f\" geom2=\"a\" friction=\".01 .01\"/></contact></mujoco>";
+    let mut world = world_of(mjcf);
+    for _ in 0..60 {
+        assert!(world.step(&[]));
+    }
+    let (at, velocities) = motion(&world);
+    for (found, expected) in [
+        (at[0], 1.57878e-2),
+        (at[2], 9.99982e-2),
+        (velocities[0], 2.580634e-1),
+        (velocities[2], 1.05098e-4),
+        (velocities[4], 2.547993),
+    ] {
+        assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+    }
+}
+
 #[test]
 fn several_trees_continue_from_a_restored_motion_bit_for_bit() {
     for model in reference()["models"].as_object().unwrap().values() {
