@@ -270,7 +270,7 @@ mod tests {
         assert!(picture.svg.starts_with("<svg") && picture.png.starts_with(b"\x89PNG"));
         assert!(picture.svg.contains(&colour(0)) && picture.svg.contains(&colour(1)));
         assert_eq!(picture.svg.matches("happo (3 seeds)").count(), 1);
-        for words in ["one", "two", "evaluation return", "surprise, nats"] {
+        for words in [">one<", ">two<", "evaluation return", "surprise, nats"] {
             assert!(picture.svg.contains(words), "{words}");
         }
         assert!(draw(&[empty()], 1).is_ok());

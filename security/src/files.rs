@@ -102,7 +102,8 @@ fn demand_usable(
     use webpki::Error::{CaUsedAsEndEntity, EmptyEkuExtension, RequiredEkuNotFoundContext};
     let objection = objection(path, certificate, purpose, now)?;
     let misuse = match &objection {
-        CaUsedAsEndEntity => {
+        // Clients with other rules, such as browsers, accept a server's own authority.
+        CaUsedAsEndEntity if purpose == Purpose::Client => {
             Some("is that of an authority; present one that the authority has signed".to_owned())
         }
         RequiredEkuNotFoundContext(_) | EmptyEkuExtension => {
@@ -342,7 +343,7 @@ mod tests {
         for (purpose, certificate, key, line) in [
             (Purpose::Server, &server.certificate, &server.key, "accepted"),
             (Purpose::Server, &client.certificate, &client.key, no_server),
-            (Purpose::Server, &authority, &server.key, an_authority),
+            (Purpose::Server, &authority, &server.key, "accepted"),
             (Purpose::Client, &client.certificate, &client.key, "accepted"),
             (Purpose::Client, &server.certificate, &server.key, no_client),
             (Purpose::Client, &authority, &client.key, an_authority),

@@ -4,6 +4,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::time::Duration;
 
+use anyhow::Context as _;
 use clap::Args;
 use learner::serve::health::{HealthError, demand_serving};
 use learner::serve::service::Operator;
@@ -53,10 +54,15 @@ pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
-    demand_sent_token(&url, learner)?;
     let stopped =
         async { operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from) };
-    answered(stopped, &learner.tls, learner.timeout_secs)?;
+    let stopped = answered(stopped, &learner.tls, learner.timeout_secs);
+    if stopped.is_err() && withholds_token(&url, learner)? {
+        let why = "the token is not sent in plain text to another machine; use http://127.0.0.1:PORT on the learner's \
+                   machine, SIGTERM, or certificates";
+        return stopped.context(why);
+    }
+    stopped?;
     output::line(format!("{of} stops after a checkpoint"));
     Ok(())
 }
@@ -112,15 +118,10 @@ fn is_private(url: &str, tls: Option<&ClientTls>) -> bool {
     tls.is_some() || addresses::is_loopback(addresses::host(url))
 }
 
-/// Refuses a call that needs the token if there is one that is not sent, because the network could read it.
-fn demand_sent_token(url: &str, learner: &LearnerArgument) -> anyhow::Result<()> {
+/// Whether there is a token that is not sent, because the network could read it.
+fn withholds_token(url: &str, learner: &LearnerArgument) -> anyhow::Result<bool> {
     let tls = credentials(url, &learner.tls)?;
-    if is_private(url, tls.as_ref()) || token_for_run(Path::new(&learner.of))?.is_none() {
-        return Ok(());
-    }
-    let why = "the token is not sent in plain text to another machine; run `s2mia stop` on the learner's machine \
-               with http://127.0.0.1:PORT, or use certificates";
-    Err(Usage::new(format!("{url}: {why}")).into())
+    Ok(!is_private(url, tls.as_ref()) && token_for_run(Path::new(&learner.of))?.is_some())
 }
 
 /// Waits for the answer to a call.

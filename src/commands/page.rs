@@ -177,6 +177,8 @@ struct FollowedRun {
     damaged: u64,
     /// Why the metrics could not be read at the last attempt.
     error: Option<String>,
+    /// Iterations of the checkpoints.
+    checkpoints: Vec<u64>,
 }
 
 impl FollowedRun {
@@ -191,12 +193,11 @@ impl FollowedRun {
             returns: BTreeMap::new(),
             damaged: 0,
             error: None,
+            checkpoints: Vec::new(),
         }
     }
 
     fn shown(&self) -> ShownRun {
-        // A folder of checkpoints that cannot be read has no episodes to choose from.
-        let checkpoints = checkpoint::all(&self.folder).unwrap_or_default();
         let evaluated = |iteration| (iteration, self.returns.get(&iteration).copied());
         let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.trouble());
         let troubles = troubles.collect::<Vec<_>>().join("; ");
@@ -208,7 +209,7 @@ impl FollowedRun {
             curves: Arc::clone(&self.curves),
             version: self.version,
             live: None,
-            policies: checkpoints.into_iter().map(evaluated).collect(),
+            policies: self.checkpoints.iter().copied().map(evaluated).collect(),
             episodes: EPISODES,
         }
     }
@@ -226,6 +227,8 @@ impl FollowedRun {
 
     /// Reads what is new. Metrics that cannot be read are tried again; each new reason is reported once.
     fn follow(&mut self) {
+        // A folder of checkpoints that cannot be read has no episodes to choose from.
+        self.checkpoints = checkpoint::all(&self.folder).unwrap_or_default();
         let is_new = match self.metrics.more() {
             Ok(new) => {
                 let is_readable_again = self.error.take().is_some();

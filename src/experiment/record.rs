@@ -220,7 +220,14 @@ impl Record {
         // Where a file system has no locks, the experiments are on their own.
         let _locked = folder.lock();
         let mut all = Self::read(path)?;
-        all.0.extend(self.0);
+        for (name, run) in self.0 {
+            // A run with other settings that another experiment has added meanwhile stays, and is a conflict of the next report.
+            let known = all.0.get(&name).filter(|other| other.env_steps() >= run.env_steps());
+            if known.is_none_or(|other| other.origin.settings_sha256 == run.origin.settings_sha256)
+            {
+                all.0.insert(name, run);
+            }
+        }
         target.write(all.text().as_bytes())
     }
 

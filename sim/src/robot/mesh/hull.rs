@@ -1,6 +1,6 @@
 //! The convex hull of points.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use parry3d_f64::math::Vector;
 use parry3d_f64::transformation::try_convex_hull;
@@ -13,6 +13,8 @@ const FLAT: f64 = 1e-12;
 const OUTSIDE: f64 = 1e-6;
 /// Twice the area of the smallest face that has a normal, in the same unit.
 const SMALLEST: f64 = 1e-9;
+/// Most pairs of a face and a point that are compared.
+const MOST_COMPARED: usize = 1 << 22;
 /// Most orientations in which a hull is computed.
 const TRIES: usize = 8;
 
@@ -75,19 +77,26 @@ fn whitened(points: &[[f32; 3]]) -> Option<Vec<Vector>> {
     Some(exact().map(scaled).collect())
 }
 
-/// Whether the triangles are closed and no point is outside one of them.
+/// Whether the triangles are closed, and neither the next triangles nor, unless they are too many, any points are outside one.
 fn is_convex(corners: &[Vector], triangles: &[[u32; 3]], points: &[Vector]) -> bool {
-    let edges = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]];
-    let all: BTreeSet<[u32; 2]> = triangles.iter().flat_map(edges).collect();
-    let is_closed = all.len() == 3 * triangles.len()
-        && all.iter().all(|[from, to]| all.contains(&[*to, *from]));
-    is_closed
-        && triangles.iter().all(|triangle| {
-            let [a, b, c] = triangle.map(|corner| corners[corner as usize]);
-            let normal = (b - a).cross(c - a);
-            let far = OUTSIDE * normal.length().max(SMALLEST);
-            points.iter().all(|point| (*point - a).dot(normal) <= far)
-        })
+    let edges = |[a, b, c]: &[u32; 3]| [([*a, *b], *c), ([*b, *c], *a), ([*c, *a], *b)];
+    let third: BTreeMap<[u32; 2], u32> = triangles.iter().flat_map(edges).collect();
+    let corner = |index: u32| corners[index as usize];
+    let holds = |triangle: &[u32; 3], point: Vector| {
+        let [a, b, c] = triangle.map(corner);
+        let normal = (b - a).cross(c - a);
+        (point - a).dot(normal) <= OUTSIDE * normal.length().max(SMALLEST)
+    };
+    let beside = |([from, to], _): ([u32; 2], u32)| third.get(&[to, from]).copied().map(corner);
+    let is_bent = |triangle: &[u32; 3]| {
+        edges(triangle)
+            .into_iter()
+            .all(|edge| beside(edge).is_some_and(|next| holds(triangle, next)))
+    };
+    let are_few = triangles.len().saturating_mul(points.len()) <= MOST_COMPARED;
+    third.len() == 3 * triangles.len()
+        && triangles.iter().all(is_bent)
+        && (!are_few || triangles.iter().all(|own| points.iter().all(|point| holds(own, *point))))
 }
 
 #[cfg(test)]

@@ -2,6 +2,9 @@
 
 use super::{Mesh, polygon};
 
+/// Most corners of a face; the time to cut it grows with their square.
+const MOST_IN_FACE: usize = 2_000;
+
 /// Reads `v` and `f` lines. Faces with more than three corners are cut into triangles. As in MuJoCo, the faces are those of
 /// the first object or group that has any, and one with fewer than three corners counts for nothing.
 pub(super) fn read(bytes: &[u8]) -> Result<Mesh, String> {
@@ -26,6 +29,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Mesh, String> {
                 let corners: Option<Vec<usize>> =
                     words.map(|word| corner(word, points.len())).collect();
                 let corners = corners.ok_or_else(invalid)?;
+                if corners.len() > MOST_IN_FACE {
+                    let found = corners.len();
+                    return Err(format!(
+                        "a face has {found} corners, at most {MOST_IN_FACE} are allowed; cut it"
+                    ));
+                }
                 faces.extend(Some(corners).filter(|corners| corners.len() >= 3));
             }
             _ => {}
@@ -94,5 +103,7 @@ mod tests {
             assert_eq!(found.triangles, expected.triangles, "{file}");
         }
         assert_eq!(read(b"v 0 0 0\nf 1 0\n").unwrap_err(), "line 2 is invalid: f 1 0");
+        let wide = format!("v 0 0 0\nf{}\n", " 1".repeat(MOST_IN_FACE + 1));
+        assert!(read(wide.as_bytes()).unwrap_err().starts_with("a face has 2001 corners, "));
     }
 }

@@ -87,19 +87,48 @@ impl Geom {
     /// Refuses a type or size that MuJoCo refuses, also of a shape that is used no further since nothing can touch it.
     fn check(&self) -> Result<(), String> {
         let element = &self.element;
+        let size = element.text("size").unwrap_or_default();
+        let is_positive = |number: &str| number.parse::<f64>().is_ok_and(|number| number > 0.0);
         match self.kind() {
             "plane" => {
-                let third = element.text("size").and_then(|size| size.split_whitespace().nth(2));
-                let third = third.and_then(|number| number.parse::<f64>().ok());
-                if third.is_some_and(|number| number > 0.0) {
+                let size: Vec<&str> = size.split_ascii_whitespace().collect();
+                if size.len() == 3 && is_positive(size[2]) {
                     return Ok(());
                 }
-                let reason = "the third number of a plane's `size` must be positive; set it, such as in 0 0 1";
+                let reason = "a plane's `size` must have three numbers, the third positive; set it, such as 0 0 1";
                 Err(element.refuse_for("size", reason))
             }
             kind if UNSIZED.contains(&kind) => Ok(()),
-            kind if SOLIDS.contains(&kind) && element.text("mesh").is_some() => Ok(()),
-            _ => self.primitive().map(drop),
+            kind if !SOLIDS.contains(&kind) => {
+                let reason = format!("the type `{kind}` is not supported; use a box or a mesh");
+                Err(element.refuse_for("type", reason))
+            }
+            _ if element.text("mesh").is_some() => Ok(()),
+            _ => {
+                let needed = self.needed();
+                let numbers = size.split_ascii_whitespace().take(needed);
+                if numbers.filter(|number| is_positive(number)).count() < needed {
+                    let reason = format!("`size` must have {needed} positive numbers");
+                    return Err(element.refuse_for("size", reason));
+                }
+                self.ends.map_or(Ok(()), |ends| self.pose_between(ends).map(drop))
+            }
+        }
+    }
+
+    /// Half the distance of two points, m, and the pose in their middle, in the frame in which they are stated.
+    fn pose_between(&self, ends: [[f64; 3]; 2]) -> Result<(f32, Pose), String> {
+        let same = "`fromto` names the same point twice; set two different ones";
+        between(ends).ok_or_else(|| self.element.refuse_for("fromto", same))
+    }
+
+    /// Numbers of `size` that the shape needs.
+    fn needed(&self) -> usize {
+        match self.kind() {
+            _ if self.ends.is_some() => 1,
+            "sphere" => 1,
+            "capsule" | "cylinder" => 2,
+            _ => 3,
         }
     }
 
@@ -168,37 +197,20 @@ impl Geom {
     /// A shape that needs no mesh.
     fn primitive(&self) -> Result<(Shape, Pose), String> {
         let element = &self.element;
-        let (count, after) = match self.kind() {
-            "sphere" => (1, 1),
-            "capsule" | "cylinder" => (2, 1),
-            "box" | "ellipsoid" => (3, 1),
-            kind => {
-                let reason = format!("the type `{kind}` is not supported; use a box or a mesh");
-                return Err(element.refuse_for("type", reason));
-            }
-        };
+        let is_long = matches!(self.kind(), "capsule" | "cylinder");
         let size = element.list("size")?.unwrap_or_default();
         if size.len() > 3 {
             return Err(element.refuse_for("size", "`size` must have at most 3 numbers"));
-        }
-        let needed = if self.ends.is_some() { after } else { count };
-        if size.len() < needed || size[..needed].contains(&0.0) {
-            let reason = format!("`size` must have {needed} positive numbers");
-            return Err(element.refuse_for("size", reason));
         }
         let size: Vec<f32> = size.iter().map(|length| *length as f32).collect();
         let Some(ends) = self.ends else {
             return Ok((form(self.kind(), &size), self.frame.pose()));
         };
         // The direction matters for a box, whose other two axes turn with it.
-        let ends = if count == 3 { [ends[1], ends[0]] } else { ends };
-        let same = "`fromto` names the same point twice; set two different ones";
-        let (half_length, pose) =
-            between(ends).ok_or_else(|| element.refuse_for("fromto", same))?;
-        let size = match count {
-            2 => vec![size[0], half_length],
-            _ => vec![size[0], size[0], half_length],
-        };
+        let ends = if is_long { ends } else { [ends[1], ends[0]] };
+        let (half_length, pose) = self.pose_between(ends)?;
+        let size =
+            if is_long { vec![size[0], half_length] } else { vec![size[0], size[0], half_length] };
         Ok((form(self.kind(), &size), self.outer.pose() * pose))
     }
 

@@ -87,7 +87,9 @@ fn turned(replicate: &Element, index: i64, angles: &Angles) -> Result<Option<[f6
     if step.iter().filter(|angle| **angle != 0.0).count() < 2 {
         return Ok(None);
     }
-    let euler = text(&step.map(|angle| angle * index as f64));
+    // Many turns would leave the bounds of an angle.
+    let turn = if angles.degrees { 360.0 } else { std::f64::consts::TAU };
+    let euler = text(&step.map(|angle| (angle * index as f64) % turn));
     let turned = replicate.with([("euler".to_owned(), euler)].into());
     angles.frame(&turned).map(|frame| Some(frame.rotation))
 }

@@ -260,8 +260,8 @@ impl Touching {
         pairs.into_iter().filter_map(depth).collect()
     }
 
-    /// Finds the points in which the shapes of a pair touch, by the own rule of this index if they have any. Returns their contact and the poses of their colliders; `None`
-    /// if one of them touches nothing.
+    /// Finds the points in which the shapes of a pair touch, by the own rule of this index if they have any. Returns their
+    /// contact and the poses of their colliders; `None` if one of them touches nothing.
     fn touch_pair(
         &mut self,
         blueprint: &Blueprint,
