@@ -92,7 +92,7 @@ fn demand_validity(
     period(&objection).map_or(Ok(()), |why| Err(refused(path, &why)))
 }
 
-/// Refuses a certificate, read from `path`, that every peer would refuse for `purpose` at `now`, without a reason.
+/// Refuses a certificate, read from `path`, that all peers would refuse for `purpose` at `now`.
 fn demand_usable(
     path: &Path,
     certificate: &CertificateDer<'_>,
@@ -340,10 +340,12 @@ mod tests {
             "the certificate own.pem is not for server authentication (its extended key usage)";
         let no_client =
             "the certificate own.pem is not for client authentication (its extended key usage)";
+        let another_key = "the private key own.key does not fit the certificate own.pem";
         for (purpose, certificate, key, line) in [
             (Purpose::Server, &server.certificate, &server.key, "accepted"),
             (Purpose::Server, &client.certificate, &client.key, no_server),
-            (Purpose::Server, &authority, &server.key, "accepted"),
+            // Its purpose passes; the key of the authority is not known.
+            (Purpose::Server, &authority, &server.key, another_key),
             (Purpose::Client, &client.certificate, &client.key, "accepted"),
             (Purpose::Client, &server.certificate, &server.key, no_client),
             (Purpose::Client, &authority, &client.key, an_authority),
