@@ -88,6 +88,10 @@ impl Geom {
     fn check(&self) -> Result<(), String> {
         let element = &self.element;
         let size = element.text("size").unwrap_or_default();
+        let is_finite = |number: &str| number.parse::<f64>().is_ok_and(f64::is_finite);
+        if !size.split_ascii_whitespace().all(is_finite) {
+            element.list("size")?;
+        }
         let is_positive = |number: &str| number.parse::<f64>().is_ok_and(|number| number > 0.0);
         match self.kind() {
             "plane" => {
