@@ -259,6 +259,12 @@ fn an_invalid_file_is_reported_in_one_line_with_its_name() {
         (&learner[..], "server", "actor", "is not for server authentication"),
         (&actor[..], "actor", "server", "is not for client authentication"),
     ] {
+        // Some clients accept a server's own authority, whose key is not known here.
+        let of_authority = if own_name == "actor" {
+            "is that of an authority"
+        } else {
+            "does not fit the certificate"
+        };
         let pem = |name: &str| own.file(&format!("{name}.pem"));
         let key = |name: &str| own.file(&format!("{name}.key"));
         for (certificate, key, words) in [
@@ -267,7 +273,7 @@ fn an_invalid_file_is_reported_in_one_line_with_its_name() {
             (pem(own_name), key("operator"), "does not fit the certificate"),
             (pem("old"), key("old"), "expired at 1970-01-03 00:00:00 UTC"),
             (pem(other_name), key(other_name), not_for),
-            (pem("ca"), key(own_name), "is that of an authority"),
+            (pem("ca"), key(own_name), of_authority),
         ] {
             let files = ["--tls-certificate", &certificate, "--tls-key", &key];
             let line = refused(&[role, &files].concat());
