@@ -15,7 +15,7 @@ use serde_json::json;
 
 use crate::endpoints::{ClientTlsArguments, credentials, token_for_run};
 use crate::errors::Usage;
-use crate::figures::chart::thousands;
+use crate::figures::chart::{counted, thousands};
 use crate::process::{output, runtime, shell};
 use crate::run::stored::config_of_run;
 use crate::run::{run_path, stored};
@@ -259,10 +259,12 @@ fn text(status: &Status) -> String {
     };
     let mut text = format!(
         "{run_id}: iteration {iteration}, {} env steps{pace}\n\
-         {complete_slots} of {slots} slots complete, {} leases on {actors} actors{idle}, \
+         {complete_slots} of {} complete, {} on {}{idle}, \
          {} leased again, {} backed up, {} audited, {} messages refused{disk}",
         thousands(status.env_steps),
-        leases.len(),
+        counted(*slots, "slot"),
+        counted(leases.len() as u64, "lease"),
+        counted(*actors, "actor"),
         status.leases_reissued,
         status.slots_backed_up,
         status.audits_agreed,
@@ -277,8 +279,8 @@ fn line(lease: &LeaseStatus) -> String {
         LeasedWork::Slot(slot) => format!("slot {slot}"),
         LeasedWork::Episode(episode) => format!("episode {episode}"),
     };
-    let (chunks, still) = (lease.chunks, lease.still_secs);
-    format!("  {work}: actor {}, {chunks} chunks, {still:.1} s since the last", lease.actor)
+    let chunks = counted(lease.chunks.into(), "chunk");
+    format!("  {work}: actor {}, {chunks}, {:.1} s since the last", lease.actor, lease.still_secs)
 }
 
 /// `s2mia health`

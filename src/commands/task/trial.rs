@@ -25,8 +25,8 @@ pub(super) struct Trial {
     total: f64,
     terminated: u32,
     pub(super) faults: u32,
-    /// Largest velocity, m/s or rad/s, and its name.
-    fastest: (f32, String),
+    /// Largest velocity, m/s or rad/s, and its name; `None` if nothing has moved.
+    fastest: Option<(f32, String)>,
     /// The shapes of the first episode; `None` for a game.
     robot: Option<RobotShapes>,
     /// Poses of the first episode.
@@ -93,8 +93,9 @@ impl Trial {
         let mut velocities = vec![0.0; world.robot().velocity_names().len()];
         world.velocities(&mut velocities);
         for (velocity, name) in velocities.into_iter().zip(world.robot().velocity_names()) {
-            if velocity.abs() > self.fastest.0 {
-                self.fastest = (velocity.abs(), name.clone());
+            let fastest = self.fastest.as_ref().map_or(0.0, |fastest| fastest.0);
+            if velocity.abs() > fastest {
+                self.fastest = Some((velocity.abs(), name.clone()));
             }
         }
     }
@@ -102,15 +103,16 @@ impl Trial {
     pub(super) fn summary(&self) -> String {
         let mean = |sum: f64| sum / f64::from(self.episodes);
         let episodes = chart::counted(u64::from(self.episodes), "episode");
+        let fastest = self.fastest.as_ref();
+        let fastest = fastest.map(|(speed, name)| format!("; largest speed {speed:.1} ({name})"));
         format!(
             "{episodes} of random actions: mean length {:.1} steps, mean return {:.1}, {} ended by the task's \
-             rules, {} by a physics fault; largest speed {:.1} ({})",
+             rules, {} by a physics fault{}",
             mean(self.steps as f64),
             mean(self.total),
             self.terminated,
             self.faults,
-            self.fastest.0,
-            self.fastest.1,
+            fastest.unwrap_or_default(),
         )
     }
 
