@@ -165,7 +165,8 @@ pub(crate) fn near(
         names.extend(globals.filter(is_near).cloned());
     }
     let place = |name: &String| state.features.iter().position(|feature| feature.name == *name);
-    let places = names.iter().map(|name| place(name).expect("neighbourhoods name features"));
+    // Hidden coordinates are no features; other names were checked.
+    let places = names.iter().filter_map(place);
     let related = state.related.iter();
     let related = related.filter(|(_, observer)| observer.as_ref().is_none_or(is_near));
     let related = related.map(|(place, _)| *place);

@@ -311,8 +311,6 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     }
     let features: Vec<String> = features.into_iter().map(|feature| feature.name).collect();
     let state = Names::new("feature that its agents may observe", &features);
-    let driven = robot.actuators().flat_map(|actuator| actuator.moved);
-    let driven = driven.map(|joint| ("agents", joint));
     let Neighbourhood { edges, touching, globals } = &robot.neighbourhood;
     if edges.iter().any(|edge| edge.len() < 2) {
         return Err(refused("neighbourhood.edges: an edge needs at least two joints; add one"));
@@ -325,15 +323,12 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     }
     let near = edges.iter().flatten().map(|joint| ("neighbourhood.edges", joint));
     let touching_joints = touching.iter().map(|row| ("neighbourhood.touching.joint", &row.joint));
-    let stated = near.chain(touching_joints).map(|(key, joint)| (key, joint.as_str()));
-    for (key, joint) in driven.chain(stated) {
+    for (key, joint) in near.chain(touching_joints) {
         for part in &robot.numbers_of(joint)[0] {
-            let feature = format!("{part}.position");
-            if robot.coordinate_names().contains(part) && !features.contains(&feature) {
-                let why = format!("`{part}` must be in the global state, {key} names its joint");
-                return Err(refused(format!("state.hidden: {why}; remove it")));
+            // A hidden coordinate is a joint's, too.
+            if !robot.coordinate_names().contains(part) {
+                state.index(key, &format!("{part}.position"))?;
             }
-            state.index(key, &feature)?;
         }
     }
     for name in globals {
