@@ -129,10 +129,7 @@ fn check_order(body: &Body) -> Result<(), String> {
 fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, String> {
     if joint.tag == "freejoint" {
         joint.only(&[&["name", "group", "align"]])?;
-        if joint.text("align") == Some("true") {
-            let reason = "`align` must be false or auto: the frame of a body stays where it is";
-            return Err(joint.refuse_for("align", reason));
-        }
+        joint.flag("align")?;
     } else {
         joint.only(&[&KNOWN])?;
     }

@@ -167,8 +167,8 @@ fn a_name_that_is_taken_or_unknown_is_refused_with_what_to_write() {
             "two velocities have the name `root.wx`",
         ),
         (
-            EVERYTHING.replace("name=\"root\"", "name=\"root\" align=\"true\""),
-            "<freejoint name=\"root\">: `align` must be false or auto",
+            EVERYTHING.replace("name=\"root\"", "name=\"root\" align=\"maybe\""),
+            "<freejoint name=\"root\">: align=\"maybe\" must be true or false",
         ),
         (
             EVERYTHING.replace("inertiagrouprange=\"0 5\"", "inertiagrouprange=\"5 2\""),
