@@ -1,7 +1,7 @@
 //! Attributes that models of robots use, with the numbers that MuJoCo 4.0.0 has for them.
 
-use super::{document, motion, robot, world_of};
-use crate::robot::Robot;
+use super::{document, motion, robot, robot_with, world_of};
+use crate::robot::{Physics, Robot};
 
 /// Corners of a tetrahedron, m.
 const CORNERS: &str = "0 0 0 1 0 0 0 2 0 0 0 3";
@@ -240,6 +240,85 @@ fn keyframes_are_those_of_the_aligned_frame_and_sites_stay_at_their_places() {
     let found = moved(&mjcf, &[0.0; 6], 200);
     let expected = [0.122319, 0.017417, 0.896312, 0.835810, 0.272237, -0.241662, 0.410985];
     assert_near("hanging", &unsigned(&found), &expected, 1e-3);
+}
+
+/// After 0.2 s.
+#[test]
+fn gravity_compensation_counts_for_the_range_of_the_joint_if_it_is_a_force_of_actuators() {
+    let free = [0.15675, 0.831242];
+    let limited = [-0.228542, 0.36796];
+    for (joint, integrator, expected, efforts) in [
+        ("", "Euler", free, [1.0, -1.606728]),
+        ("actuatorfrcrange=\"-2 2\"", "Euler", free, [1.0, -1.606728]),
+        ("actuatorgravcomp=\"true\"", "Euler", free, [5.015031, -1.988922]),
+        (
+            "actuatorfrcrange=\"-9 9\" actuatorgravcomp=\"true\"",
+            "Euler",
+            free,
+            [5.015031, -1.988922],
+        ),
+        ("actuatorfrcrange=\"-2 2\" actuatorgravcomp=\"true\"", "Euler", limited, [2.0, -0.621472]),
+        (
+            "actuatorfrcrange=\"-2 2\" actuatorgravcomp=\"true\"",
+            "implicitfast",
+            limited,
+            [2.0, -0.621472],
+        ),
+        (
+            "actuatorfrcrange=\"-2 2\" actuatorgravcomp=\"true\"",
+            "RK4",
+            [-0.225286, 0.369273],
+            [2.0, -0.614148],
+        ),
+    ] {
+        let mut world = world_of(&format!(
+            "<mujoco><compiler angle=\"radian\"/><option timestep=\".002\" integrator=\"{integrator}\"/>\
+             <default><joint {joint}/><geom contype=\"0\" conaffinity=\"0\"/></default><worldbody>\
+             <body pos=\"0 0 1\" gravcomp=\"1\"><joint name=\"a\" axis=\"0 -1 0\" damping=\".1\"/>\
+             <geom size=\".05\" pos=\".3 0 0\" mass=\"1\"/><body pos=\".3 0 0\" gravcomp=\".5\">\
+             <joint name=\"b\" axis=\"0 1 0\"/><geom size=\".05\" pos=\".2 0 0\" mass=\".5\"/></body></body></worldbody>\
+             <actuator><motor joint=\"a\" gear=\"2\" ctrlrange=\"-1 1\"/>\
+             <position joint=\"b\" kp=\"3\" ctrlrange=\"-1 1\"/></actuator></mujoco>"
+        ));
+        for _ in 0..100 {
+            assert!(world.step(&[0.5, 0.3]));
+        }
+        let what = format!("{joint} {integrator}");
+        assert_near(&what, &motion(&world).0, &expected, 1e-4);
+        assert_near(&what, &world.efforts().collect::<Vec<_>>(), &efforts, 0.02);
+    }
+}
+
+#[test]
+fn the_engines_solver_is_refused_where_gravity_compensation_is_a_force_of_actuators() {
+    let physics = Physics { contact_compliance: Some(0.1), ..Physics::default() };
+    let body = "<body><joint actuatorgravcomp=\"true\" actuatorfrcrange=\"-1 1\"/><geom size=\".1\"/></body>";
+    let built = robot_with(&with("", body), physics, &|path| Err(path.to_owned()));
+    let reason = built.err().unwrap();
+    assert!(reason.contains("needs a model without `actuatorgravcomp`; remove it"), "{reason}");
+}
+
+/// After 0.1 s.
+#[test]
+fn the_friction_of_a_pair_has_its_own_damping_in_an_elliptic_cone() {
+    let default = [0.00099, 0.000496, 0.099892];
+    let pyramid = [0.001053, 0.000536, 0.099894];
+    for (cone, pair, expected) in [
+        ("elliptic", "", default),
+        ("elliptic", "solreffriction=\"0 0\"", default),
+        ("elliptic", "solreffriction=\"0.2 1\"", [0.006281, 0.003141, 0.099891]),
+        ("elliptic", "solreffriction=\"-10 -3\"", [0.008623, 0.004312, 0.099891]),
+        ("pyramidal", "solreffriction=\"0.2 1\"", pyramid),
+    ] {
+        let mjcf = format!(
+            "<mujoco><option timestep=\".001\" cone=\"{cone}\"/><default><pair {pair}/></default><worldbody>\
+             <geom name=\"f\" type=\"plane\" size=\"1 1 1\"/><body pos=\"0 0 .1\"><freejoint/>\
+             <geom name=\"b\" type=\"box\" size=\".1 .1 .1\"/></body></worldbody>\
+             <contact><pair geom1=\"f\" geom2=\"b\" condim=\"3\" friction=\"1 1\"/></contact></mujoco>"
+        );
+        let found = moved(&mjcf, &[0.1, 0.05, 0.0, 0.0, 0.0, 0.0], 100);
+        assert_near(&format!("{cone} {pair}"), &found[..3], &expected, 2e-4);
+    }
 }
 
 /// After 0.1 s.
