@@ -178,6 +178,8 @@ pub(crate) struct Hinge {
     pub(crate) friction_softness: Softness,
     /// Range of the sum of the motors' torques, N m.
     pub(crate) torque_range: Option<[f32; 2]>,
+    /// Whether the gravity compensation of links counts as a torque of motors.
+    pub(crate) compensates_gravity: bool,
 }
 
 /// Axis of a hinge, as an axis of the joint's frame.
@@ -318,6 +320,8 @@ impl Blueprint {
     pub(crate) fn soften(&mut self, contacts: ContactOverride, limits: &SoftnessOverride) {
         for pair in &mut self.contacts.pairs {
             pair.contact.softness = pair.contact.softness.with(&contacts.softness);
+            let own = pair.contact.friction_softness.map(|own| own.with(&contacts.softness));
+            pair.contact.friction_softness = own;
             pair.contact.margin = contacts.margin.unwrap_or(pair.contact.margin);
         }
         self.contacts.stated = contacts;

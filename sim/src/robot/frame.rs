@@ -106,6 +106,21 @@ impl Frame {
         }
     }
 
+    /// The frame that `fromto` states: in the middle of two points, with the z axis from the second to the first. `None` if they
+    /// are the same.
+    pub(super) fn between([from, to]: [[f64; 3]; 2]) -> Option<Self> {
+        let axis = unit([0, 1, 2].map(|i| from[i] - to[i]))?;
+        let rotation = normalized(arc([0.0, 0.0, 1.0], axis))?;
+        Some(Self { position: [0, 1, 2].map(|i| (from[i] + to[i]) / 2.0), rotation })
+    }
+
+    /// The parent's frame in this one.
+    pub(super) fn inverse(&self) -> Self {
+        let [x, y, z, w] = self.rotation;
+        let rotation = [-x, -y, -z, w];
+        Self { position: rotated(rotation, self.position).map(|part| -part), rotation }
+    }
+
     /// The frame in single precision.
     pub(super) fn pose(&self) -> Pose {
         let [x, y, z, w] = self.rotation.map(|number| number as f32);

@@ -113,11 +113,33 @@ impl Solid {
     /// Principal axes as MuJoCo finds them from those of `frame`: turned about one axis after another, so that the largest product
     /// of inertia becomes zero. Which axes of equal moments are found depends on this order.
     pub(super) fn axes_from(&self, frame: Rotation) -> Rotation {
-        let mut found = [0.0, 0.0, 0.0, 1.0];
         let part = Self { inertia: self.inside(numbers(frame)), ..Self::default() };
-        let trace: f64 = (0..3).map(|axis| part.inertia[axis][axis]).sum();
+        let [x, y, z, w] = part.found_axes().map(|number| number as f32);
+        frame * Rotation::from_xyzw(x, y, z, w)
+    }
+
+    /// Principal axes as MuJoCo finds and orders them, the one with the largest moment first, as a unit quaternion (x y z w).
+    pub(super) fn sorted_axes(&self) -> [f64; 4] {
+        let mut found = self.found_axes();
+        for first in [0, 1, 0] {
+            let inertia = self.inside(found);
+            if inertia[first][first] + ROUND_OFF * self.trace() < inertia[first + 1][first + 1] {
+                found = unit(turned(found, (first + 2) % 3, [0.0, 1.0]));
+            }
+        }
+        found
+    }
+
+    fn trace(&self) -> f64 {
+        (0..3).map(|axis| self.inertia[axis][axis]).sum()
+    }
+
+    /// Axes, as a unit quaternion (x y z w), along which all products of inertia are zero.
+    fn found_axes(&self) -> [f64; 4] {
+        let mut found = [0.0, 0.0, 0.0, 1.0];
+        let trace = self.trace();
         for _ in 0..MOST_TURNS {
-            let inertia = part.inside(found);
+            let inertia = self.inside(found);
             let size = |axis: usize| inertia[(axis + 1) % 3][(axis + 2) % 3].abs();
             let axis = match (size(2) > size(1), size(1) > size(0)) {
                 (true, _) if size(2) > size(0) => 2,
@@ -128,8 +150,7 @@ impl Solid {
             let Some(rotation) = rotation.filter(|_| size(axis) > ROUND_OFF * trace) else { break };
             found = unit(turned(found, axis, rotation));
         }
-        let [x, y, z, w] = found.map(|number| number as f32);
-        frame * Rotation::from_xyzw(x, y, z, w)
+        found
     }
 
     /// Inertia along the axes of a unit quaternion (x y z w).

@@ -37,6 +37,8 @@ pub(super) enum Volume {
     Exact,
     /// The convex hull.
     Convex,
+    /// None: the surface, whose density is in kg/m^2.
+    Shell,
 }
 
 impl Mesh {
@@ -150,7 +152,10 @@ impl Mesh {
     }
 
     fn solid(&self, volume: Volume) -> Solid {
-        let apex = self.centroid();
+        let (area, apex) = self.centroid();
+        if volume == Volume::Shell {
+            return self.shell(area, apex);
+        }
         let pyramids = |apex: [f64; 3]| {
             self.triangles.iter().map(move |triangle| {
                 let corners = triangle.map(|i| sub(self.points[i], apex));
@@ -170,13 +175,24 @@ impl Mesh {
         // As in MuJoCo, mass and inertia are those of the pyramids on the mass centre.
         let mass = pyramids(centre).map(|(_, volume)| volume).sum();
         for (corners, part) in pyramids(centre) {
-            add_moments(&mut moments, &corners, part);
+            add_moments(&mut moments, &corners, part / 20.0);
         }
         Solid::from_moments(mass, centre, moments)
     }
 
-    /// Centroid of the surface.
-    fn centroid(&self) -> [f64; 3] {
+    /// The surface with a density of 1 kg/m^2.
+    fn shell(&self, area: f64, centroid: [f64; 3]) -> Solid {
+        let mut moments: Matrix = [[0.0; 3]; 3];
+        for triangle in &self.triangles {
+            let corners = triangle.map(|i| sub(self.points[i], centroid));
+            let normal = cross(sub(corners[1], corners[0]), sub(corners[2], corners[0]));
+            add_moments(&mut moments, &corners, dot(normal, normal).sqrt() / 2.0 / 12.0);
+        }
+        Solid::from_moments(area, centroid, moments)
+    }
+
+    /// Area of the surface, m^2, and its centroid.
+    fn centroid(&self) -> (f64, [f64; 3]) {
         let (mut area, mut sum) = (0.0, [0.0; 3]);
         for triangle in &self.triangles {
             let corners = triangle.map(|i| self.points[i]);
@@ -187,17 +203,18 @@ impl Mesh {
                 sum[i] += size * corners.iter().map(|corner| corner[i]).sum::<f64>() / 3.0;
             });
         }
-        sum.map(|x| if area > 0.0 { x / area } else { 0.0 })
+        (area / 2.0, sum.map(|x| if area > 0.0 { x / area } else { 0.0 }))
     }
 }
 
-/// Adds the second moments, `integral x x^T dV`, of the tetrahedron between the origin and three corners.
-fn add_moments(moments: &mut Matrix, corners: &[[f64; 3]; 3], volume: f64) {
+/// Adds second moments, `integral x x^T dm`, with a part of the mass: a twentieth of that of the tetrahedron between the
+/// origin and three corners, or a twelfth of that of the triangle between the corners.
+fn add_moments(moments: &mut Matrix, corners: &[[f64; 3]; 3], part: f64) {
     for row in 0..3 {
         for column in 0..3 {
             let squares: f64 = corners.iter().map(|corner| corner[row] * corner[column]).sum();
             let sums: [f64; 2] = [row, column].map(|i| corners.iter().map(|c| c[i]).sum());
-            moments[row][column] += volume / 20.0 * (squares + sums[0] * sums[1]);
+            moments[row][column] += part * (squares + sums[0] * sums[1]);
         }
     }
 }

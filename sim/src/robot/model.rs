@@ -2,6 +2,7 @@
 //! cannot be built are errors with their line.
 
 mod actuators;
+mod aligned;
 mod blockers;
 mod bodies;
 mod contacts;
@@ -37,6 +38,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         context.blockers.keep(read.map_err(|reason| model.refuse(reason)));
     }
     let mut bodies = bodies::flat(&root, &context);
+    aligned::align(&mut bodies, &mut context, folder);
     let fixed_mass = bodies::fixed_mass(&bodies, &mut context, folder);
     let grounds = bodies::take_grounds(&mut bodies, &mut context, folder);
     let mut links = links::read(&bodies, &mut context, folder);

@@ -33,6 +33,8 @@ pub(crate) struct ContactPlan {
     /// Distance at which the contact becomes active, m.
     pub(crate) margin: f32,
     pub(crate) softness: Softness,
+    /// Softness of the friction of an elliptic cone, if it has its own; only the damping counts.
+    pub(crate) friction_softness: Option<Softness>,
 }
 
 /// What a task states in place of the model's contact properties.
@@ -120,6 +122,7 @@ impl Surface {
             friction: [slide, slide, twist, roll, roll],
             margin: stated.margin.unwrap_or(margin as f32),
             softness: softness.with(&stated.softness),
+            friction_softness: None,
         }
     }
 

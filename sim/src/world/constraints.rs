@@ -27,11 +27,12 @@ mod runge_kutta;
 mod segments;
 
 use rapier3d::dynamics::Multibody;
+use rapier3d::glamx::DVec3;
 use rapier3d::math::Vector;
 use rapier3d::prelude::PhysicsWorld;
 
 use super::HingeDrives;
-use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, unit};
+use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, unit, wide};
 use contacts::Touching;
 use gyroscopic::LoneLink;
 use matrix::{Factor, dot};
@@ -131,7 +132,7 @@ impl Constraints {
     fn accelerate(
         &mut self,
         robot: &Robot,
-        drives: &HingeDrives,
+        drives: &mut HingeDrives,
         physics: &mut PhysicsWorld,
     ) -> bool {
         let layout = &robot.layout;
@@ -139,6 +140,7 @@ impl Constraints {
         let multibody = multibody.expect("the template holds the robot");
         self.start.read(robot, multibody, physics);
         self.weigh(layout, drives, multibody);
+        self.count_compensation(layout, drives, wide(physics.gravity));
         if !self.constrain(robot, physics) {
             return false;
         }
@@ -182,6 +184,23 @@ impl Constraints {
         }
         for (hinge, torque) in layout.hinges.iter().zip(drives.torques()) {
             self.problem.pull[hinge.dof] += f64::from(hinge.plan.axis.sign * torque);
+        }
+    }
+
+    /// Counts gravity compensation as torques of motors, where the model says so.
+    fn count_compensation(&mut self, layout: &Layout, drives: &mut HingeDrives, gravity: DVec3) {
+        for (index, hinge) in layout.hinges.iter().enumerate() {
+            if !hinge.plan.compensates_gravity {
+                continue;
+            }
+            let (dof, sign) = (hinge.dof, f64::from(hinge.plan.axis.sign));
+            let force = (sign * self.start.gravity_compensation(dof, gravity)) as f32;
+            let [change, damping] = drives.compensate(index, force, hinge.plan.torque_range);
+            self.problem.pull[dof] += sign * f64::from(change);
+            if self.integration == Integration::Euler {
+                let diagonal = dof * self.start.speeds.len() + dof;
+                self.implicit_mass.matrix[diagonal] -= self.step_secs * f64::from(damping);
+            }
         }
     }
 

@@ -233,6 +233,23 @@ impl HingeDrives {
         servos.chain(tendons).filter(|(_, damping)| *damping != 0.0)
     }
 
+    /// Counts gravity compensation, N m, as a torque of a hinge's motors. Returns the change of the torque with which their sum
+    /// is in `range`, and the damping that ends there, N m s / rad.
+    pub(super) fn compensate(
+        &mut self,
+        index: usize,
+        force: f32,
+        range: Option<[f32; 2]>,
+    ) -> [f32; 2] {
+        let drive = &mut self.drives[index];
+        let sum = drive.effort + force;
+        drive.effort = range.map_or(sum, |[low, high]| sum.clamp(low, high));
+        match drive.effort - sum {
+            0.0 => [0.0; 2],
+            change => [change, drive.damping],
+        }
+    }
+
     /// Torques of the motors in the last physics step, in the model's direction, N m.
     pub(super) fn efforts(&self) -> impl Iterator<Item = f32> {
         self.drives.iter().map(|drive| drive.effort)
@@ -282,7 +299,8 @@ impl HingeDrives {
             }
         }
         for (drive, hinge) in drives.iter_mut().zip(hinges) {
-            if let Some([low, high]) = hinge.plan.torque_range
+            if let Some([low, high]) =
+                hinge.plan.torque_range.filter(|_| !hinge.plan.compensates_gravity)
                 && (drive.torque < low || drive.torque > high)
             {
                 (drive.torque, drive.damping) = (drive.torque.clamp(low, high), 0.0);

@@ -11,6 +11,7 @@ mod loaded;
 mod one_document;
 mod other_roots;
 mod places;
+mod public_models;
 mod references;
 mod refused;
 mod trees;

@@ -209,6 +209,9 @@ impl Blueprint {
                 "needs a model without equalities, ball joints, limits or friction of tendons, and friction of a free joint",
             );
         }
+        if self.links.iter().filter_map(LinkPlan::hinge).any(|hinge| hinge.compensates_gravity) {
+            return reason("needs a model without `actuatorgravcomp`");
+        }
         if self.fluid.is_some() {
             return reason("needs a model without the `density` and `viscosity` of a fluid");
         }

@@ -1,7 +1,5 @@
 //! The tree of bodies as a list, and their masses.
 
-use rapier3d::math::Rotation;
-
 use super::super::blueprint::GroundPlan;
 use super::super::document::{Element, ORIENTATIONS, check_names, check_unique};
 use super::super::folder::Folder;
@@ -9,7 +7,7 @@ use super::super::frame::{Frame, IDENTITY};
 use super::super::inertia::{MassSum, Solid};
 use super::super::surface::Surface;
 use super::context::Context;
-use super::geoms::Geom;
+use super::geoms::{self, Geom};
 use super::joints;
 use super::options::{MassSource, Options};
 use crate::error::short;
@@ -50,6 +48,16 @@ impl Body {
     /// Whether the document states its principal moments of inertia.
     pub(super) fn states_moments(&self) -> bool {
         self.inertial.as_ref().is_some_and(|(stated, _)| stated.text("fullinertia").is_none())
+    }
+
+    /// Moves the body's frame to `inside`, a frame in it. What the body consists of stays where it is.
+    pub(super) fn move_frame(&mut self, inside: &Frame) {
+        self.frame = self.frame.then(inside);
+        self.geoms.iter_mut().for_each(|geom| geom.seen_from(inside));
+        let inverse = inside.inverse();
+        let sites = self.sites.iter_mut().map(|(_, frame)| frame);
+        let inertial = self.inertial.iter_mut().map(|(_, frame)| frame);
+        sites.chain(inertial).for_each(|frame| *frame = inverse.then(frame));
     }
 }
 
@@ -147,16 +155,16 @@ fn add_part(
             fill(bodies, own, child, (childclass, frame), context);
         }
         "site" => {
+            let site = context.classes.resolve(child, childclass)?;
+            let ends = geoms::ends(&site)?;
             let name = child.text("name").filter(|name| context.connected.contains(*name));
             let Some(name) = name else { return Ok(()) };
-            let site = context.classes.resolve(child, childclass)?;
-            if site.text("fromto").is_some() {
-                return Err(
-                    site.refuse("`fromto` of a connected site is not supported; state `pos`")
-                );
-            }
-            let frame = frame.then(&context.options.angles.frame(&site)?);
-            bodies[own].sites.push((name.to_owned(), frame));
+            let same = "`fromto` names the same point twice; set two different ones";
+            let inside = match ends {
+                Some(ends) => Frame::between(ends).ok_or_else(|| site.refuse_for("fromto", same)),
+                None => context.options.angles.frame(&site),
+            };
+            bodies[own].sites.push((name.to_owned(), frame.then(&inside?)));
         }
         tag if SKIPPED.contains(&tag) => {}
         _ => return Err(child.refuse("this element is not supported; remove it")),
@@ -193,10 +201,10 @@ pub(super) fn stated_inertia(body: &Body, options: &Options) -> Result<Option<So
     }
 }
 
-/// Axes in which a body states its inertia, in its frame; `None` if it states none.
-pub(super) fn stated_axes(body: &Body, options: &Options) -> Option<Rotation> {
+/// Frame in which a body states its inertia, in its own; `None` if it states none.
+pub(super) fn stated_frame(body: &Body, options: &Options) -> Option<Frame> {
     let (element, frame) = body.inertial.as_ref()?;
-    Some(frame.then(&options.angles.frame(element).ok()?).pose().rotation)
+    Some(frame.then(&options.angles.frame(element).ok()?))
 }
 
 /// Mass, mass centre and inertia of a body in its frame: those that it states, or those of its shapes.
@@ -263,7 +271,9 @@ fn read_inertial(element: &Element, frame: &Frame, options: &Options) -> Result<
         return Err(element.refuse_for("fullinertia", reason));
     }
     // The rounding of principal axes is no reason.
-    if low + middle < high * (1.0 - 1e-12) {
+    if low + middle < high * (1.0 - 1e-12) && options.balances {
+        solid = Solid::principal(mass, [(low + middle + high) / 3.0; 3]);
+    } else if low + middle < high * (1.0 - 1e-12) {
         let [low, middle, high] = [low, middle, high].map(short);
         return Err(element.refuse(format!(
             "of the principal moments {low}, {middle} and {high} none may exceed the sum of the others; correct them, or set \

@@ -10,8 +10,19 @@ use super::bodies::Body;
 use super::context::Context;
 
 /// Of a pair; `gap` has no effect on the motion.
-const PAIR: [&str; 10] =
-    ["name", "class", "geom1", "geom2", "condim", "friction", "solref", "solimp", "margin", "gap"];
+const PAIR: [&str; 11] = [
+    "name",
+    "class",
+    "geom1",
+    "geom2",
+    "condim",
+    "friction",
+    "solref",
+    "solreffriction",
+    "solimp",
+    "margin",
+    "gap",
+];
 /// Friction of a pair that states none, as in MuJoCo: sliding, torsional and rolling; the last three in m.
 const FRICTION: [f64; 5] = [1.0, 1.0, 0.005, 0.0001, 0.0001];
 
@@ -95,8 +106,20 @@ fn contact(element: &Element, context: &Context) -> Result<ContactPlan, String> 
         return Err(element.refuse("`condim` must be 1, 3, 4 or 6"));
     }
     let solimp = element.padded("solimp", solimp)?;
-    let softness = Softness::new(solref, solimp, context.options.timestep_secs);
-    let plan =
-        ContactPlan { dimensions: dimensions as usize, friction, margin: margin as f32, softness };
+    let of_friction = element.padded("solreffriction", [0.0; 2])?;
+    // As in MuJoCo, two zeros are none.
+    let has_own = of_friction != [0.0; 2];
+    if has_own {
+        Softness::check("solreffriction", of_friction)
+            .map_err(|reason| element.refuse_for("solreffriction", reason))?;
+    }
+    let softness = |solref| Softness::new(solref, solimp, context.options.timestep_secs);
+    let plan = ContactPlan {
+        dimensions: dimensions as usize,
+        friction,
+        margin: margin as f32,
+        softness: softness(solref),
+        friction_softness: has_own.then(|| softness(of_friction)),
+    };
     Ok(plan.with_friction(1.0))
 }

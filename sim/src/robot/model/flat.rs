@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::super::document::Element;
 use super::super::folder::Folder;
 use super::super::heights;
-use super::super::inertia::Solid;
+use super::aligned;
 use super::bodies::{self, Body};
 use super::context::Context;
 use super::geoms::Geom;
@@ -30,8 +30,8 @@ const MARK: &str = "0 0 0 0.001 0 0 0 0.001 0 0 0 0.001";
 /// What remains of a body.
 #[derive(Default)]
 struct Rest {
-    /// Mass and inertia to state, in the body's frame; `None` if the document states or implies them without meshes.
-    inertial: Option<Solid>,
+    /// Attributes of the mass and inertia to state; `None` if the document states or implies them without meshes.
+    inertial: Option<BTreeMap<String, String>>,
     /// For each shape of the body, in order.
     shapes: VecDeque<Kept>,
 }
@@ -63,7 +63,8 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
         // Without a base, the mass of what is fixed to the world matters for `settotalmass` alone.
         let matters = bodies::has_base(&bodies) || context.options.total_mass.is_some();
         let weighs = index > 0 && (!body.is_static || matters);
-        let inertial = if weighs { inertia(body, &mut context, folder)? } else { None };
+        let inertial =
+            if weighs { inertia((bodies.as_slice(), index), &mut context, folder)? } else { None };
         rests.push(Rest { inertial, shapes });
     }
     mark_base(&bodies, &mut rests, &mut hulls);
@@ -142,15 +143,31 @@ fn text<T: ToString>(numbers: &[T]) -> String {
 
 /// Mass and inertia of a body to which meshes contribute.
 fn inertia(
-    body: &Body,
+    (bodies, index): (&[Body], usize),
     context: &mut Context,
     folder: &mut Folder<'_>,
-) -> Result<Option<Solid>, String> {
+) -> Result<Option<BTreeMap<String, String>>, String> {
+    let body = &bodies[index];
     let is_stated = bodies::stated_inertia(body, &context.options)?.is_some();
     if is_stated || !body.geoms.iter().any(|geom| geom.is_mesh() && geom.weighs()) {
         return Ok(None);
     }
-    bodies::solid(body, context, folder).map(Some)
+    let solid = bodies::solid(body, context, folder)?;
+    let (centre, moments) = if aligned::is_aligned(bodies, index, context) {
+        // The axes of `fullinertia` would have other directions.
+        let frame = aligned::inertial_frame(body, context, folder)?;
+        let inside = solid.turned(frame.inverse().rotation).inertia;
+        let principal = [0, 1, 2].map(|axis| inside[axis][axis].max(0.0));
+        let [x, y, z, w] = frame.rotation;
+        let moments = vec![("quat", text(&[w, x, y, z])), ("diaginertia", text(&principal))];
+        (frame.position, moments)
+    } else {
+        let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = solid.inertia;
+        (solid.centre, vec![("fullinertia", text(&[xx, yy, zz, xy, xz, yz]))])
+    };
+    let place = [("pos", text(&centre)), ("mass", text(&[solid.mass]))];
+    let attributes = place.into_iter().chain(moments);
+    Ok(Some(attributes.map(|(name, text)| (name.to_owned(), text)).collect()))
 }
 
 /// Keeps a shape of the first body that is fixed to the world and has shapes: the base has its name.
@@ -264,27 +281,16 @@ fn rewrite(
                 *next += 1;
                 let index = *next;
                 rewrite(&mut child, index, next, rests, context);
-                if let Some(solid) = rests[index].inertial {
-                    child.children.insert(0, inertial(&child, &solid));
+                if let Some(attributes) = rests[index].inertial.take() {
+                    let mut inertial = child.with(attributes);
+                    "inertial".clone_into(&mut inertial.tag);
+                    child.children.insert(0, inertial);
                 }
             }
             _ => {}
         }
         element.children.push(child);
     }
-}
-
-fn inertial(body: &Element, solid: &Solid) -> Element {
-    let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = solid.inertia;
-    let attributes = [
-        ("pos", text(&solid.centre)),
-        ("mass", text(&[solid.mass])),
-        ("fullinertia", text(&[xx, yy, zz, xy, xz, yz])),
-    ];
-    let attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
-    let mut inertial = body.with(attributes);
-    "inertial".clone_into(&mut inertial.tag);
-    inertial
 }
 
 /// The text of an element.

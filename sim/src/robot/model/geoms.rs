@@ -1,5 +1,7 @@
 //! Shapes of bodies: form, mass, and contacts with the floor.
 
+mod weight;
+
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::SharedShape;
 
@@ -58,6 +60,8 @@ pub(super) struct Geom {
     is_paired: bool,
     /// Whether its group has masses.
     is_heavy: bool,
+    /// Whether its surface has its mass.
+    is_shell: bool,
 }
 
 impl Geom {
@@ -65,10 +69,6 @@ impl Geom {
     pub(super) fn new(element: Element, outer: Frame, context: &Context) -> Result<Self, String> {
         let known = [&KNOWN[..], &ORIENTATIONS, &Surface::ATTRIBUTES];
         context.blockers.keep(element.only(&known));
-        if element.flag("shellinertia")? == Some(true) {
-            let reason = "`shellinertia` is not supported; state the body's `inertial`";
-            return Err(element.refuse_for("shellinertia", reason));
-        }
         let surface = Surface::read(&element)?;
         let [first, last] = context.options.mass_groups;
         let geom = Self {
@@ -78,6 +78,7 @@ impl Geom {
             surface,
             is_paired: element.text("name").is_some_and(|name| context.paired.contains(name)),
             is_heavy: (first..=last).contains(&element.integer("group", 0)?),
+            is_shell: element.flag("shellinertia")? == Some(true),
             element,
         };
         geom.check()?;
@@ -93,6 +94,11 @@ impl Geom {
             element.list("size")?;
         }
         let is_positive = |number: &str| number.parse::<f64>().is_ok_and(|number| number > 0.0);
+        if self.is_shell && self.is_mesh() {
+            let reason =
+                "a mesh has no `shellinertia`; remove it, and set inertia=\"shell\" in its asset";
+            return Err(element.refuse_for("shellinertia", reason));
+        }
         match self.kind() {
             "plane" => {
                 let size: Vec<&str> = size.split_ascii_whitespace().collect();
@@ -251,6 +257,29 @@ impl Geom {
         turned.map_or(*pose, |(_, turned)| self.outer.pose() * turned).rotation
     }
 
+    /// Frame of its inertia in its body, with the axes that MuJoCo finds.
+    pub(super) fn inertial_frame(
+        &self,
+        meshes: &mut Meshes,
+        folder: &mut Folder<'_>,
+    ) -> Result<Frame, String> {
+        if self.element.text("mesh").is_some() {
+            let hull = meshes.hull(&self.element, folder)?;
+            let solid = meshes.solid(&self.element, &hull)?;
+            let inside = Frame { position: solid.centre, rotation: solid.sorted_axes() };
+            return Ok(self.frame.then(&inside));
+        }
+        let between = self.ends.and_then(Frame::between);
+        Ok(between.map_or(self.frame, |inside| self.outer.then(&inside)))
+    }
+
+    /// The frame of the shape as one in `outer`, a frame in its body.
+    pub(super) fn seen_from(&mut self, outer: &Frame) {
+        let inverse = outer.inverse();
+        self.frame = inverse.then(&self.frame);
+        self.outer = inverse.then(&self.outer);
+    }
+
     /// A pose in the shape's body as one in the shape's stated frame.
     pub(super) fn inside(&self, pose: &Pose) -> Pose {
         self.frame.pose().inv_mul(pose)
@@ -270,6 +299,11 @@ impl Geom {
             density => density,
         };
         let solid = match *shape {
+            _ if self.is_shell => {
+                let (area, moments) = weight::shell(shape);
+                let mass = density * area;
+                Solid::principal(mass, moments.map(|moment| mass * moment)).placed(pose)
+            }
             Shape::Sphere { radius } => {
                 Solid::of_shape(&SharedShape::ball(radius), density as f32, pose)
             }
@@ -282,7 +316,7 @@ impl Geom {
                 solid.with_mass(density * solid.mass).placed(pose)
             }
             ref shape => {
-                let (volume, squares) = volume(shape);
+                let (volume, squares) = weight::volume(shape);
                 let mass = density * volume;
                 let [x, y, z] = squares.map(|square| mass * square);
                 Solid::principal(mass, [y + z, z + x, x + y]).placed(pose)
@@ -320,7 +354,7 @@ fn kind(element: &Element) -> &str {
 }
 
 /// The two points of `fromto`. As in MuJoCo, a shape with them has no other position, and only some forms have them.
-fn ends(element: &Element) -> Result<Option<[[f64; 3]; 2]>, String> {
+pub(super) fn ends(element: &Element) -> Result<Option<[[f64; 3]; 2]>, String> {
     let Some([a, b, c, d, e, f]) = element.numbers::<6>("fromto")? else { return Ok(None) };
     let kind = kind(element);
     if !SOLIDS[1..].contains(&kind) {
@@ -335,29 +369,6 @@ fn ends(element: &Element) -> Result<Option<[[f64; 3]; 2]>, String> {
         return Err(element.refuse_for("pos", "it has both `pos` and `fromto`; remove one"));
     }
     Ok(Some([[a, b, c], [d, e, f]]))
-}
-
-/// Volume of a box, cylinder or ellipsoid, m^3, and the mean squares of its points' coordinates, m^2.
-fn volume(shape: &Shape) -> (f64, [f64; 3]) {
-    let double = |sizes: [f32; 3]| sizes.map(f64::from);
-    match *shape {
-        Shape::Box { half_sizes } => {
-            let [x, y, z] = double(half_sizes);
-            (8.0 * x * y * z, [x, y, z].map(|half| half * half / 3.0))
-        }
-        Shape::Ellipsoid { half_sizes } => {
-            let [x, y, z] = double(half_sizes);
-            let volume = 4.0 / 3.0 * std::f64::consts::PI * x * y * z;
-            (volume, [x, y, z].map(|half| half * half / 5.0))
-        }
-        Shape::Cylinder { half_length, radius } => {
-            let [half, radius] = [half_length, radius].map(f64::from);
-            let across = radius * radius / 4.0;
-            let volume = std::f64::consts::PI * radius * radius * 2.0 * half;
-            (volume, [across, across, half * half / 3.0])
-        }
-        _ => unreachable!("other shapes have their own mass properties"),
-    }
 }
 
 /// A primitive shape; `size` has as many numbers as the kind needs.

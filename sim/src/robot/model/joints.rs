@@ -94,10 +94,6 @@ pub(super) fn read(body: &Body, context: &Context) -> Vec<JointPlan> {
             return Err(joint.0.refuse(reason));
         }
         joint.0.only(&[&KNOWN])?;
-        if joint.0.flag("actuatorgravcomp")? == Some(true) {
-            let reason = "`actuatorgravcomp` is not supported; remove it";
-            return Err(joint.0.refuse_for("actuatorgravcomp", reason));
-        }
         let name = match joint.0.text("name") {
             Some(name) => name.to_owned(),
             None if body.joints.len() == 1 => body.name.clone(),
@@ -129,10 +125,7 @@ fn check_order(body: &Body) -> Result<(), String> {
 fn free(joint: &Element, body: &Body, context: &Context) -> Result<FreeJoint, String> {
     if joint.tag == "freejoint" {
         joint.only(&[&["name", "group", "align"]])?;
-        if joint.text("align") == Some("true") {
-            let reason = "`align` must be false or auto: the frame of a body stays where it is";
-            return Err(joint.refuse_for("align", reason));
-        }
+        joint.flag("align")?;
     } else {
         joint.only(&[&KNOWN])?;
     }
@@ -169,7 +162,7 @@ fn planar(body: &Body, context: &Context) -> Result<Option<Planar>, String> {
         let placed = kind == "slide" || joint.numbers("pos")?.unwrap_or([0.0; 3]) == [0.0; 3];
         let same =
             joint.text("type").unwrap_or("hinge") == kind && along == axis && *frame == IDENTITY;
-        let plain = plain && hinge.spring_damper.is_none();
+        let plain = plain && hinge.spring_damper.is_none() && !hinge.compensates_gravity;
         let is_driven = joint.text("name").is_some_and(|name| context.driven.contains(name));
         if !same || !plain || !placed || is_driven || hinge.range.is_some() {
             return Ok(None);
@@ -236,6 +229,7 @@ fn hinge(joint: &Element, frame: &Frame, name: String, context: &Context) -> Res
         friction: context.friction(joint)?,
         friction_softness: softness(joint, ["solreffriction", "solimpfriction"], context)?,
         torque_range: torque_range.map(|ends| ends.map(|end| end as f32)),
+        compensates_gravity: joint.flag("actuatorgravcomp")? == Some(true),
     })
 }
 

@@ -157,8 +157,8 @@ impl<'a> Links<'a> {
         let mut solids: Vec<Solid> = inertial.iter().map(|solid| solid.placed(frame)).collect();
         let has_contacts = body.geoms.iter().any(Geom::collides);
         let only_weight = body.geoms.iter().filter(|geom| geom.weighs()).count() == 1;
-        let stated = inertial.as_ref().and_then(|_| bodies::stated_axes(body, &context.options));
-        let stated = stated.map(|own| frame.rotation * own);
+        let stated = inertial.as_ref().and_then(|_| bodies::stated_frame(body, &context.options));
+        let stated = stated.map(|own| frame.rotation * own.pose().rotation);
         let mut axes = None;
         let first_shape = self.plans[link].shapes.len();
         for geom in &body.geoms {

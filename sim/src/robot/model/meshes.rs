@@ -121,8 +121,12 @@ impl Meshes {
         let Some((asset, Some((mesh, _)))) = asset.map(|asset| (asset, &asset.loaded)) else {
             return Err(geom.refuse("its mesh is not loaded"));
         };
-        let volumes =
-            [("legacy", Volume::Legacy), ("exact", Volume::Exact), ("convex", Volume::Convex)];
+        let volumes = [
+            ("legacy", Volume::Legacy),
+            ("exact", Volume::Exact),
+            ("convex", Volume::Convex),
+            ("shell", Volume::Shell),
+        ];
         let volume = asset.element.word("inertia", &volumes)?;
         mesh.solid_of(volume, hull).map_err(|reason| asset.element.refuse(reason))
     }

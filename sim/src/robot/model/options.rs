@@ -72,12 +72,10 @@ const COMPILER: [&str; 22] = [
     "saveinertial",
 ];
 /// Settings that must have these values.
-const FIXED: [(&str, &str, &str); 6] = [
+const FIXED: [(&str, &str, &str); 4] = [
     ("compiler", "fitaabb", "false"),
     ("compiler", "coordinate", "local"),
-    ("compiler", "balanceinertia", "false"),
     ("compiler", "exactmeshinertia", "false"),
-    ("compiler", "alignfree", "false"),
     ("option", "magnetic", "0 -0.5 0"),
 ];
 /// Settings of MuJoCo's solver and collision detection, which have others here, and of contacts, which are read.
@@ -159,6 +157,10 @@ pub(super) struct Options {
     /// kg and kg m^2; bodies must not have less.
     pub(super) least: [f64; 2],
     pub(super) total_mass: Option<f64>,
+    /// Whether principal moments that no body can have are replaced by their mean.
+    pub(super) balances: bool,
+    /// Whether the frames of free bodies are those of their inertia.
+    pub(super) aligns_free: bool,
     pub(super) mesh_folder: String,
     pub(super) strips_paths: bool,
     pub(super) timestep_secs: f64,
@@ -188,24 +190,9 @@ impl Options {
         let known =
             ["timestep", "gravity", "integrator", "density", "viscosity", "wind", "magnetic"];
         blockers.keep(option.only(&[&SOLVER, &known]));
-        blockers.keep(flags.only(&[
-            &FLAGS,
-            &KEPT.map(|(flag, _)| flag),
-            &ENABLED,
-            &DISABLED,
-            &CONSTRAINTS,
-            &["gravity"],
-        ]));
+        check_flags(&flags, blockers);
         let on = |flag: &str| blockers.keep(flags.flag(flag)).flatten();
         let is_set = |name: &str| blockers.keep(compiler.flag(name)).flatten();
-        let fixed = ENABLED.map(|flag| (flag, false)).into_iter();
-        for (flag, value) in fixed.chain(DISABLED.map(|flag| (flag, true))) {
-            if on(flag) == Some(value) {
-                let word = if value { "enable" } else { "disable" };
-                let reason = format!("{flag}=\"{word}\" is not supported; remove it");
-                blockers.note(flags.refuse_for(flag, reason));
-            }
-        }
         let [constraints, contacts, equalities, friction, limits] =
             CONSTRAINTS.map(|flag| on(flag).unwrap_or(true));
         let gravity = blockers.keep(option.numbers("gravity")).flatten();
@@ -219,6 +206,8 @@ impl Options {
             least: ["boundmass", "boundinertia"].map(|name| blockers.number(&compiler, name, 0.0)),
             total_mass: Some(blockers.number(&compiler, "settotalmass", -1.0))
                 .filter(|mass| *mass > 0.0),
+            balances: is_set("balanceinertia").unwrap_or(false),
+            aligns_free: is_set("alignfree").unwrap_or(false),
             mesh_folder: mesh_folder(root),
             strips_paths: is_set("strippath").unwrap_or(false),
             timestep_secs: blockers.number(&option, "timestep", 0.002),
@@ -302,6 +291,20 @@ fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
                 blockers.note(element.refuse_for(name, reason));
             }
             _ => {}
+        }
+    }
+}
+
+/// Refuses unknown flags, and those that must be enabled or disabled and are not.
+fn check_flags(flags: &Element, blockers: &Blockers) {
+    let kept = KEPT.map(|(flag, _)| flag);
+    blockers.keep(flags.only(&[&FLAGS, &kept, &ENABLED, &DISABLED, &CONSTRAINTS, &["gravity"]]));
+    let fixed = ENABLED.map(|flag| (flag, false)).into_iter();
+    for (flag, value) in fixed.chain(DISABLED.map(|flag| (flag, true))) {
+        if blockers.keep(flags.flag(flag)).flatten() == Some(value) {
+            let word = if value { "enable" } else { "disable" };
+            let reason = format!("{flag}=\"{word}\" is not supported; remove it");
+            blockers.note(flags.refuse_for(flag, reason));
         }
     }
 }

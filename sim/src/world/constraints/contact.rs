@@ -44,9 +44,12 @@ impl Contact<'_> {
         if blueprint.contacts.cone == Cone::Elliptic {
             for direction in 0..=frictions {
                 self.fill(problem.add_row(), start, &[(direction, 1.0)]);
-                let (position, ratio) = match direction {
-                    0 => (Some(self.position), 1.0),
-                    k => (None, mu / self.plan.friction[k - 1]),
+                let (position, ratio, softness) = match direction {
+                    0 => (Some(self.position), 1.0, softness),
+                    k => {
+                        let own = self.plan.friction_softness.as_ref();
+                        (None, mu / self.plan.friction[k - 1], own.unwrap_or(softness))
+                    }
                 };
                 let aim = softness.reference_acceleration(position, speed(problem, start));
                 let share = if direction == 0 { 1.0 } else { ratio * ratio / impratio };

@@ -168,6 +168,16 @@ impl Motion {
         }
     }
 
+    /// Force of the gravity compensation of links on a velocity, N or N m.
+    pub(super) fn gravity_compensation(&self, dof: usize, gravity: DVec3) -> f64 {
+        let moved = self.links.iter().filter(|link| link.dofs.contains(&dof));
+        let wrenches = moved.map(|link| {
+            let force = (link.weight - link.mass) * gravity;
+            [force, (link.mass_centre - link.origin).cross(force)]
+        });
+        wrenches.fold(0.0, |sum, wrench| sum + product(self.twists[dof], wrench))
+    }
+
     /// Adds to a row of a Jacobian `factor` times what a force at a point of a link and a torque do: their work for each unit
     /// of velocity.
     pub(super) fn add_levers(

@@ -24,14 +24,14 @@ const EVERYTHING: &str = r#"<mujoco model="all">
 <inertial pos="0 0 0" mass="3" diaginertia="0.1 0.1 0.1"/>
 <geom name="box" class="soft" type="box" size="0.1 0.2 0.1" pos="0 0 0" zaxis="0 0 1"/>
 <body name="arm" pos="0.3 0 0" axisangle="0 0 1 0.2">
-<joint name="j" pos="0 0 0" axis="0 1 0" range="-1 1" stiffness="1" springref="0.1" damping="0.2" armature="0.01" frictionloss="0.1" ref="0.1" margin="0.01" solreflimit="0.02 1" solimplimit="0.9 0.95 0.001" solreffriction="0.02 1" solimpfriction="0.9 0.95 0.001" actuatorfrcrange="-50 50"/>
+<joint name="j" pos="0 0 0" axis="0 1 0" range="-1 1" stiffness="1" springref="0.1" damping="0.2" armature="0.01" frictionloss="0.1" ref="0.1" margin="0.01" solreflimit="0.02 1" solimplimit="0.9 0.95 0.001" solreffriction="0.02 1" solimpfriction="0.9 0.95 0.001" actuatorfrcrange="-50 50" actuatorgravcomp="true"/>
 <geom name="bar" type="capsule" size="0.05" fromto="0 0 0 0.3 0 0" density="800" friction="0.9 0.01 0.01" margin="0.001" solmix="1" solref="0.02 1" condim="6" priority="1" contype="1" conaffinity="1" group="1"/>
 <body name="hand" pos="0.4 0 0" xyaxes="1 0 0 0 1 0">
 <joint name="k" type="slide" axis="1 0 0" range="-0.1 0.1" springdamper="0.5 1"/>
 <geom type="mesh" mesh="m" mass="0.5"/>
 </body></body></body></frame></worldbody>
 <contact>
-<pair geom1="floor" geom2="bar" condim="3" friction="1 1 0.01 0.01 0.01" solref="0.02 1" solimp="0.9 0.95 0.001 0.5 2" margin="0.001"/>
+<pair geom1="floor" geom2="bar" condim="3" friction="1 1 0.01 0.01 0.01" solref="0.02 1" solreffriction="0.1 1" solimp="0.9 0.95 0.001 0.5 2" margin="0.001"/>
 <exclude body1="trunk" body2="hand"/>
 </contact>
 <tendon><fixed name="t" range="-1 1" stiffness="1" damping="1" springlength="0 0.1" frictionloss="0.1" margin="0.01" solreflimit="0.02 1" solimplimit="0.9 0.95 0.001">
@@ -167,8 +167,8 @@ fn a_name_that_is_taken_or_unknown_is_refused_with_what_to_write() {
             "two velocities have the name `root.wx`",
         ),
         (
-            EVERYTHING.replace("name=\"root\"", "name=\"root\" align=\"true\""),
-            "<freejoint name=\"root\">: `align` must be false or auto",
+            EVERYTHING.replace("name=\"root\"", "name=\"root\" align=\"maybe\""),
+            "<freejoint name=\"root\">: align=\"maybe\" must be true or false",
         ),
         (
             EVERYTHING.replace("inertiagrouprange=\"0 5\"", "inertiagrouprange=\"5 2\""),

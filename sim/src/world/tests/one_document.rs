@@ -237,6 +237,35 @@ fn every_source_of_masses_survives() {
 }
 
 #[test]
+fn the_frame_of_an_aligned_body_survives() {
+    let mesh = "<geom type=\"mesh\" mesh=\"wedge\" pos=\"0.1 0.2 0.3\" euler=\"0.1 0.2 0.3\"/>";
+    let shapes = "<geom type=\"mesh\" mesh=\"wedge\"/><geom size=\"0.3\" pos=\"1 2 3\"/>";
+    for shapes in [mesh, shapes] {
+        let body =
+            format!("<body name=\"box\" pos=\"0 9 1\"><freejoint align=\"true\"/>{shapes}</body>");
+        let (direct, flat, text) =
+            both(&WALKER.replace("</worldbody>", &format!("{body}</worldbody>")));
+        assert!(text.contains("diaginertia") && text.contains("align=\"true\""), "{text}");
+        let numbers = |robot: &Robot| {
+            let link = robot.blueprint.links.iter().find(|link| link.name == "box").unwrap();
+            let poses = [&link.rest, &link.shapes[0].pose];
+            let numbers = poses.map(|pose| {
+                let [x, y, z, w] = pose.rotation.to_array();
+                let [a, b, c] = pose.translation.to_array();
+                [a, b, c, x, y, z, w]
+            });
+            [&numbers[0][..], &numbers[1], &link.mass.principal_inertia().to_array()].concat()
+        };
+        let [got, expected] = [&flat, &direct].map(numbers);
+        let moved = direct.blueprint.links.iter().any(|link| link.rest.translation.y > 9.1);
+        assert!(moved, "{expected:?}");
+        for (got, expected) in got.iter().zip(&expected) {
+            assert!((got - expected).abs() < 2e-5 * expected.abs().max(1.0), "{got} {expected}");
+        }
+    }
+}
+
+#[test]
 fn a_base_of_decoration_remains_a_link() {
     let fixed = WALKER.replace("<freejoint name=\"root\"/>", "").replace(
         "<body name=\"trunk\"",

@@ -363,7 +363,10 @@ fn refused_height_fields_and_pairs_are_named_with_what_to_do() {
         (pair("geom2=\"lost\""), "no shape that can touch has the name `lost`"),
         (pair("geom2=\"wall\" condim=\"2\""), "`condim` must be 1, 3, 4 or 6"),
         (pair("geom2=\"wall\" solref=\"0.02 -1\""), "the two numbers of its `solref`"),
-        (pair("geom2=\"wall\" solreffriction=\"1 1\""), "the attribute `solreffriction`"),
+        (
+            pair("geom2=\"wall\" solreffriction=\"1 -1\""),
+            "the two numbers of its `solreffriction` must both be positive",
+        ),
     ]);
 }
 
