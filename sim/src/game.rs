@@ -176,6 +176,11 @@ fn at<T: Copy>(numbers: &[T], step: u32) -> T {
     numbers[(step as usize).min(numbers.len() - 1)]
 }
 
+/// A feature that carries a signal.
+fn feature(name: &str) -> FeatureSpec {
+    FeatureSpec { name: name.to_owned(), role: FeatureRole::Signal }
+}
+
 /// Features `name.0`, `name.1` and so on.
 fn features(name: &str, count: usize, role: FeatureRole) -> Vec<FeatureSpec> {
     (0..count).map(|k| FeatureSpec { name: format!("{name}.{k}"), role }).collect()
