@@ -98,7 +98,7 @@ impl EnvironmentService {
     #[must_use]
     pub fn environments(&self, count: usize) -> OutsideEnvironments {
         let rows = self.offered.agents.iter().map(|agent| vec![0.0; agent.observation.len()]);
-        let episode = Episode {
+        let episode = CurrentEpisode {
             position: EpisodePosition { episode: 0, step: 0, limit: self.spec.episode_steps },
             key: [0; KEY_BYTES],
             actions: Vec::new(),
@@ -157,12 +157,12 @@ pub struct OutsideEnvironments {
     scale: fn(&mut [f32]),
     /// In a cell, because saving a state needs the stream but does not change the environments.
     play: RefCell<Play>,
-    episodes: Vec<Episode>,
+    episodes: Vec<CurrentEpisode>,
 }
 
 /// Current episode of an environment.
 #[derive(Clone, Debug)]
-struct Episode {
+struct CurrentEpisode {
     position: EpisodePosition,
     key: [u8; KEY_BYTES],
     /// Actions so far, `[step, A]`, in units of half a range; kept only if episodes are replayed.
@@ -173,7 +173,7 @@ struct Episode {
     state: Vec<f32>,
 }
 
-impl Episode {
+impl CurrentEpisode {
     /// Copies row `row` of a view.
     fn read_row(&mut self, view: &View, row: usize, scale: fn(&mut [f32])) {
         let views = view.observations.iter().zip(&mut self.observations);
@@ -339,9 +339,10 @@ impl OutsideEnvironments {
                 let numbers = environments.start as u32..environments.end as u32;
                 self.play.borrow_mut().save(numbers)?
             }
-            States::Replayed => episodes.iter().map(Episode::history).collect(),
+            States::Replayed => episodes.iter().map(CurrentEpisode::history).collect(),
         };
-        let encoded = |(now, rest): (&Episode, Vec<u8>)| [header(now.position), rest].concat();
+        let encoded =
+            |(now, rest): (&CurrentEpisode, Vec<u8>)| [header(now.position), rest].concat();
         Ok(episodes.iter().zip(rest).map(encoded).collect())
     }
 

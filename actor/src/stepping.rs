@@ -178,11 +178,11 @@ impl Worlds {
         work: EvaluationWork,
     ) -> Result<(EvaluationResult, Option<Film>), SimError> {
         let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
-        let key = EvaluationEpisode { seed, iteration, index }.key();
+        let evaluated = EvaluationEpisode { seed, iteration, index };
         let handle = self.handle.as_ref();
-        let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, work));
+        let mut collector = handle.and_then(|handle| handle.evaluation(&job.lease, evaluated));
         let mut recorder = None;
-        let start = (key, choice(&self.run, index));
+        let start = (evaluated.key(), choice(&self.run, index));
         let episode = play_episode(self.evaluation.as_mut(), &job.policy, start, |event| {
             if let StepEvent::After(played) = &event {
                 job.progress.step.store(played.step, Ordering::Relaxed);

@@ -89,7 +89,7 @@ impl ActorPolicy {
             (_, Some(sigma)) => vec![sigma; spec.action],
             (Head::Categorical { .. } | Head::TanhGaussian { .. }, None) => Vec::new(),
             (_, None) => {
-                let log_std = reader.vector("head.log_std", spec.action)?;
+                let log_std = reader.array("head.log_std", &[spec.action])?;
                 log_std.iter().map(|&x| kernels::sigmoid(x) * spec.sigma_scale).collect()
             }
         };
@@ -102,8 +102,8 @@ impl ActorPolicy {
                 Some(GivenSignal::new(noise, &sigma, None))
             }
             (_, Some(noise)) => {
-                let u = reader.matrix("head.loading", [spec.action, noise.size])?;
-                Some(GivenSignal::new(noise, &sigma, Some(&u)))
+                let u = reader.array("head.loading", &[spec.action, noise.size])?;
+                Some(GivenSignal::new(noise, &sigma, Some(u)))
             }
         };
         if reader.used != arrays.len() {

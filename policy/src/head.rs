@@ -106,6 +106,15 @@ impl Head {
         }
     }
 
+    /// Number of choices of a discrete action; `None` for a continuous one.
+    #[must_use]
+    pub fn choices(self) -> Option<usize> {
+        match self {
+            Self::Categorical { choices } => Some(choices),
+            _ => None,
+        }
+    }
+
     /// Number of network outputs for `action` action values: means, means and deviations, or logits.
     #[must_use]
     pub fn outputs(self, action: usize) -> usize {

@@ -177,7 +177,7 @@ impl ActorNetwork {
             }
         };
         let u = self.loading.as_ref().map(Var::as_tensor);
-        let loading = head.shared_noise().map(|noise| noise.loadings(u, self.spec.action()));
+        let loading = head.shared_noise().map(|noise| noise.loadings(u, self.spec.action));
         Ok(Distribution::Gaussian(Gaussian { mean: output, sigma, loading: loading.transpose()? }))
     }
 

@@ -1,7 +1,10 @@
-//! Requests to trained policies and their answers. `validate/acting.rs` checks received steps.
+//! Requests to trained policies, their validation, and the answers.
 
-use crate::read::required;
-use crate::{Reason, Refusal, WeightsName, tensor, wire};
+use std::collections::BTreeSet;
+
+use crate::read::{bad_value, required};
+use crate::tensor::{self, read_floats};
+use crate::{Reason, Refusal, WeightsName, wire};
 
 /// How actions are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,19 +37,6 @@ pub struct Acted {
 }
 
 impl ActionChoice {
-    /// The first message of a stream.
-    #[must_use]
-    pub fn to_wire(self) -> wire::ActRequest {
-        let choice = match self {
-            Self::Mean => wire::act_start::Choice::Mean(wire::MeanAction {}),
-            Self::Sampled { seed } => {
-                wire::act_start::Choice::Sampled(wire::SampledAction { seed })
-            }
-        };
-        let start = wire::ActStart { choice: Some(choice) };
-        wire::ActRequest { content: Some(wire::act_request::Content::Start(start)) }
-    }
-
     /// Reads the first message of a stream.
     ///
     /// # Errors
@@ -63,16 +53,43 @@ impl ActionChoice {
 }
 
 impl ActStep {
-    /// Converts to the message.
-    #[must_use]
-    pub fn to_wire(&self) -> wire::ActRequest {
-        let observation = |(agent, observation): &(usize, Vec<f32>)| wire::AgentObservation {
-            agent: *agent as u32,
-            observation: Some(tensor::floats(&[observation.len()], observation)),
+    /// Reads a message after the first, for agents with the given numbers of observation features.
+    ///
+    /// # Errors
+    /// If it is another message, there is no observation, an agent is unknown or repeated, or an observation has a wrong
+    /// type or length or is not finite.
+    pub fn from_wire(
+        wire: &wire::ActRequest,
+        observation_sizes: &[usize],
+    ) -> Result<Self, Refusal> {
+        let step = match &wire.content {
+            Some(wire::act_request::Content::Step(step)) => step,
+            Some(wire::act_request::Content::Start(_)) => {
+                return Err(bad_value("start", "must be the first message"));
+            }
+            None => return Err(Refusal::new(Reason::MissingField, "content", "must be set")),
         };
-        let observations = self.observations.iter().map(observation).collect();
-        let step = wire::ActStep { reset: self.reset, observations };
-        wire::ActRequest { content: Some(wire::act_request::Content::Step(step)) }
+        let list = "step.observations";
+        if step.observations.is_empty() {
+            return Err(Refusal::new(Reason::MissingField, list, "must not be empty"));
+        }
+        let mut named = BTreeSet::new();
+        let mut observations = Vec::new();
+        for (i, row) in step.observations.iter().enumerate() {
+            let agent = row.agent as usize;
+            let agents = observation_sizes.len();
+            let agent_field = format!("{list}[{i}].agent");
+            if agent >= agents {
+                return Err(bad_value(&agent_field, format!("{agent}, the team has {agents}")));
+            }
+            if !named.insert(agent) {
+                return Err(bad_value(&agent_field, format!("{agent} is repeated")));
+            }
+            let field = format!("{list}[{i}].observation");
+            let size = [observation_sizes[agent]];
+            observations.push((agent, read_floats(row.observation.as_ref(), &size, &field)?));
+        }
+        Ok(Self { reset: step.reset, observations })
     }
 }
 

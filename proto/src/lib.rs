@@ -1,9 +1,9 @@
 //! Protocol between actor and learner: the `.proto` files, ids, domain types, conversions, and all message validation.
 //! No sockets, no clock, no learning.
 //!
-//! Other crates use the domain types. Only files that face the network use the generated types in [`wire`]. Every
-//! domain type has `to_wire`, which cannot fail, and `from_wire`, which rejects invalid messages with a [`Refusal`]
-//! that names the field.
+//! Other crates use the domain types. Only files that face the network use the generated types in [`wire`]. A
+//! domain type that this side sends has `to_wire`, which cannot fail; one that it receives has `from_wire`, which rejects
+//! invalid messages with a [`Refusal`] that names the field.
 
 mod acting;
 mod actuator;

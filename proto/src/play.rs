@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use crate::read::{array, bad_value, from_1_to, length, required};
+use crate::read::{bad_value, from_1_to, length, required};
 use crate::tensor::{self, read_flags, read_floats};
 use crate::wire::play_request::Request;
 use crate::wire::play_response::Answer;
@@ -87,39 +87,9 @@ impl PlayRequest {
         };
         wire::PlayRequest { request: Some(request) }
     }
-
-    /// Reads a message sent to the environment `spec`.
-    ///
-    /// # Errors
-    /// If a part is missing, the seed does not have 32 bytes, or actions have a wrong shape or are not finite.
-    pub fn from_wire(wire: &wire::PlayRequest, spec: &EnvironmentSpec) -> Result<Self, Refusal> {
-        Ok(match required(wire.request.as_ref(), "request")? {
-            Request::Reset(reset) => {
-                let seed = array(&reset.seed, "a seed", "reset.seed")?;
-                Self::Reset { environment: reset.environment, seed }
-            }
-            Request::Restore(restore) => {
-                Self::Restore { environment: restore.environment, state: restore.state.to_vec() }
-            }
-            Request::Save(save) => Self::Save { environment: save.environment },
-            Request::Step(step) => {
-                let sizes = spec.agents.iter();
-                let sizes = sizes.map(|agent| (agent.name.as_str(), agent.action.size));
-                let count = step.environments.len();
-                let actions = columns(&step.actions, count, sizes, "step.actions")?;
-                Self::Step { environments: step.environments.clone(), actions }
-            }
-        })
-    }
 }
 
 impl View {
-    /// Converts to an answer.
-    #[must_use]
-    pub fn to_wire(&self, count: usize) -> wire::PlayResponse {
-        wire::PlayResponse { answer: Some(Answer::View(self.message(count))) }
-    }
-
     /// Reads the answer to a reset or a restore.
     ///
     /// # Errors
@@ -131,26 +101,24 @@ impl View {
         }
     }
 
-    fn message(&self, count: usize) -> wire::EnvironmentsView {
-        wire::EnvironmentsView {
-            observations: self
-                .observations
-                .iter()
-                .map(|rows| tensor::in_rows(&[count], rows))
-                .collect(),
-            state: Some(tensor::in_rows(&[count], &self.state)),
-        }
-    }
-
     fn read(
         wire: &wire::EnvironmentsView,
         spec: &EnvironmentSpec,
         count: usize,
         field: &str,
     ) -> Result<Self, Refusal> {
-        let sizes = spec.agents.iter().map(|agent| (agent.name.as_str(), agent.observation.len()));
-        let observations =
-            columns(&wire.observations, count, sizes, &format!("{field}.observations"))?;
+        let list = format!("{field}.observations");
+        length(wire.observations.len(), spec.agents.len(), &list)?;
+        let tensors = wire.observations.iter().zip(&spec.agents).enumerate();
+        let observations = tensors.map(|(i, (tensor, agent))| {
+            let named = |refusal: Refusal| {
+                let detail = format!("{}, agent {}", refusal.detail, agent.name);
+                Refusal::new(refusal.reason, refusal.field, detail)
+            };
+            let shape = [count, agent.observation.len()];
+            read_floats(Some(tensor), &shape, &format!("{list}[{i}]")).map_err(named)
+        });
+        let observations = observations.collect::<Result<_, _>>()?;
         let shape = [count, spec.state.len()];
         let state = read_floats(wire.state.as_ref(), &shape, &format!("{field}.state"))?;
         Ok(Self { observations, state })
@@ -158,19 +126,6 @@ impl View {
 }
 
 impl Steps {
-    /// Converts to an answer.
-    #[must_use]
-    pub fn to_wire(&self) -> wire::PlayResponse {
-        let count = self.reward.len();
-        let steps = wire::EnvironmentsSteps {
-            view: Some(self.view.message(count)),
-            reward: Some(tensor::floats(&[count], &self.reward)),
-            terminated: Some(tensor::flags(&[count], &self.terminated)),
-            truncated: Some(tensor::flags(&[count], &self.truncated)),
-        };
-        wire::PlayResponse { answer: Some(Answer::Steps(steps)) }
-    }
-
     /// Reads the answer to a step of `count` environments.
     ///
     /// # Errors
@@ -224,22 +179,4 @@ fn other_answer(found: Option<&Answer>, expected: &str) -> Refusal {
         Some(Answer::Saved(_)) => "saved",
     };
     bad_value("answer", format!("{found}, expected {expected}"))
-}
-
-/// For each agent `[count, size]`; `sizes` has the agents' names, which errors contain.
-fn columns<'a>(
-    tensors: &[wire::Tensor],
-    count: usize,
-    sizes: impl ExactSizeIterator<Item = (&'a str, usize)>,
-    field: &str,
-) -> Result<Vec<Vec<f32>>, Refusal> {
-    length(tensors.len(), sizes.len(), field)?;
-    let checked = tensors.iter().zip(sizes).enumerate().map(|(i, (tensor, (agent, size)))| {
-        let named = |refusal: Refusal| {
-            let detail = format!("{}, agent {agent}", refusal.detail);
-            Refusal::new(refusal.reason, refusal.field, detail)
-        };
-        read_floats(Some(tensor), &[count, size], &format!("{field}[{i}]")).map_err(named)
-    });
-    checked.collect()
 }

@@ -2,8 +2,6 @@
 //! digest; types, shapes, lengths and values of every tensor. Values are finite, choices exist, flags are consistent, and
 //! final steps and end states are exactly where required. Later code does not repeat these checks.
 
-mod acting;
-
 use crate::read::{bad_value, equal, from_1_to, length, required};
 use crate::sizes::Sizes;
 use crate::tensor::{MAX_MAGNITUDE, read_flags, read_floats, unusable};

@@ -69,12 +69,12 @@ pub(crate) const NAMES: [&str; 3] = [cue::Cue::NAME, signal::Signal::NAME, jump:
 pub(crate) struct GameEnvironments<G> {
     description: EnvironmentSpec,
     bounds: StateBounds,
-    episodes: Vec<Episode<G>>,
+    episodes: Vec<GameState<G>>,
 }
 
 /// Complete state of an environment.
 #[derive(Clone)]
-struct Episode<G> {
+struct GameState<G> {
     position: EpisodePosition,
     game: G,
 }
@@ -92,7 +92,7 @@ impl<G: Game> GameEnvironments<G> {
         let bounds = bounds::<G>();
         let game = G::from_numbers(&vec![0.0; bounds.coordinates.len()]);
         let position = EpisodePosition { episode: 0, step: 0, limit: EPISODE_STEPS };
-        let episode = Episode { position, game };
+        let episode = GameState { position, game };
         Ok(Self { description: describe::<G>(&bounds), bounds, episodes: vec![episode; count] })
     }
 }
@@ -120,14 +120,14 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
         let limit = limit.clamp(1, EPISODE_STEPS);
         let game = G::start(&mut ChaCha8Rng::from_seed(key));
         let position = EpisodePosition { episode, step: 0, limit };
-        self.episodes[environment] = Episode { position, game };
+        self.episodes[environment] = GameState { position, game };
         Ok(())
     }
 
     fn restore(&mut self, environment: usize, bytes: &[u8]) -> Result<(), SimError> {
         let state = State::from_bytes(bytes, &self.bounds)?;
         let game = G::from_numbers(&state.coordinates);
-        self.episodes[environment] = Episode { position: state.position, game };
+        self.episodes[environment] = GameState { position: state.position, game };
         Ok(())
     }
 
@@ -174,6 +174,11 @@ impl<G: Game> EnvironmentBatch for GameEnvironments<G> {
 /// The number of a list with one for each step and one after the last that belongs to `step`.
 fn at<T: Copy>(numbers: &[T], step: u32) -> T {
     numbers[(step as usize).min(numbers.len() - 1)]
+}
+
+/// A feature that carries a signal.
+fn feature(name: &str) -> FeatureSpec {
+    FeatureSpec { name: name.to_owned(), role: FeatureRole::Signal }
 }
 
 /// Features `name.0`, `name.1` and so on.

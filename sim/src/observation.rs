@@ -24,7 +24,7 @@ const CONTACT_NAMES: [&str; 6] =
 pub(crate) struct Observation {
     norm: ObservationNorm,
     agents: usize,
-    view: View,
+    view: ObservedFeatures,
 }
 
 /// The global state, and which of its features agents may observe.
@@ -39,7 +39,7 @@ pub(crate) struct GlobalState {
 }
 
 #[derive(Clone, Debug)]
-enum View {
+enum ObservedFeatures {
     /// This number of features of the global state, then the agent's one-hot index.
     Whole(usize),
     /// Per agent, indices in the global state; `None` is padding.
@@ -71,8 +71,8 @@ impl Observation {
         state: &GlobalState,
     ) -> Self {
         let view = match config.mode {
-            ObservationMode::FullId => View::Whole(state.observed),
-            ObservationMode::KNearest => View::Places(padded(
+            ObservationMode::FullId => ObservedFeatures::Whole(state.observed),
+            ObservationMode::KNearest => ObservedFeatures::Places(padded(
                 agents.iter().map(|own| near(config, robot, own, state)).collect(),
             )),
         };
@@ -82,12 +82,12 @@ impl Observation {
     /// Features of an agent's observation, given those of the global state.
     pub(crate) fn features(&self, agent: usize, state: &[FeatureSpec]) -> Vec<FeatureSpec> {
         match &self.view {
-            View::Whole(observed) => {
+            ObservedFeatures::Whole(observed) => {
                 let number = (0..self.agents)
                     .map(|k| FeatureSpec { name: format!("id.{k}"), role: FeatureRole::Identity });
                 state[..*observed].iter().cloned().chain(number).collect()
             }
-            View::Places(agents) => {
+            ObservedFeatures::Places(agents) => {
                 let padding =
                     || FeatureSpec { name: "padding".into(), role: FeatureRole::Constant };
                 let feature =
@@ -100,15 +100,15 @@ impl Observation {
     /// Indices in the global state of the features that an agent observes.
     pub(crate) fn seen(&self, agent: usize) -> Vec<usize> {
         match &self.view {
-            View::Whole(observed) => (0..*observed).collect(),
-            View::Places(agents) => agents[agent].iter().copied().flatten().collect(),
+            ObservedFeatures::Whole(observed) => (0..*observed).collect(),
+            ObservedFeatures::Places(agents) => agents[agent].iter().copied().flatten().collect(),
         }
     }
 
     /// Writes the observation of `agent`, given the global state.
     pub(crate) fn see(&self, agent: usize, state: &[f32], out: &mut [f32]) {
         match &self.view {
-            View::Whole(observed) => {
+            ObservedFeatures::Whole(observed) => {
                 out[..*observed].copy_from_slice(&state[..*observed]);
                 out[*observed..].fill(0.0);
                 out[*observed + agent] = 1.0;
@@ -116,7 +116,7 @@ impl Observation {
                     standardise_with_number(out, *observed);
                 }
             }
-            View::Places(agents) => {
+            ObservedFeatures::Places(agents) => {
                 let places = &agents[agent];
                 for (to, place) in out.iter_mut().zip(places) {
                     *to = place.map_or(0.0, |at| state[at]);
@@ -220,7 +220,7 @@ mod tests {
 
     fn observe(norm: ObservationNorm, agent: usize) -> [f32; 5] {
         let mut out = [9.0; 5];
-        Observation { norm, agents: 2, view: View::Whole(3) }.see(
+        Observation { norm, agents: 2, view: ObservedFeatures::Whole(3) }.see(
             agent,
             &[3.0, -1.0, 2.0],
             &mut out,
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn a_local_observation_copies_its_features_and_pads_with_zeros() {
-        let view = View::Places(vec![vec![Some(2), Some(0)], vec![Some(1), None]]);
+        let view = ObservedFeatures::Places(vec![vec![Some(2), Some(0)], vec![Some(1), None]]);
         let observation = Observation { norm: ObservationNorm::FeatureZ, agents: 2, view };
         let (mut first, mut second) = ([9.0; 2], [9.0; 2]);
         observation.see(0, &[3.0, -1.0, 2.0], &mut first);

@@ -49,13 +49,13 @@ pub(super) fn followed(mut resolved: Resolved) -> Resolved {
 /// Refuses settings with which no message fits.
 pub(crate) fn fit(config: &mut RunConfig, launch: &mut Launch) -> Result<(), ConfigError> {
     let environments = &config.learner.environments;
-    let now = Sizes::of(config);
+    let now = StepCounts::of(config);
     let run = launch.smallest_description();
     if fits(&run, now) {
         return Ok(());
     }
     let fitting = largest(&run, now, environments.steps);
-    let alone = |sizes: Sizes| sizes == Sizes { message: sizes.message, ..now };
+    let alone = |sizes: StepCounts| sizes == StepCounts { message: sizes.message, ..now };
     match fitting {
         Some(sizes) if alone(sizes) && !config.resolved.is_given(MESSAGE) => {
             set(&mut config.resolved, sizes.message as u64);
@@ -78,21 +78,21 @@ fn set(resolved: &mut Resolved, steps: u64) {
 
 /// What determines the size of a message with one environment: slots are as small as their messages need.
 #[derive(Clone, Copy, PartialEq)]
-struct Sizes {
+struct StepCounts {
     /// Steps of a message.
     message: usize,
     /// Steps of a sequence, which divide a message.
     window: usize,
 }
 
-impl Sizes {
+impl StepCounts {
     fn of(config: &RunConfig) -> Self {
         let environments = &config.learner.environments;
         Self { message: environments.message_steps, window: config.policy.backpropagation_steps }
     }
 }
 
-fn bytes(run: &RunDescription, sizes: Sizes) -> Option<u64> {
+fn bytes(run: &RunDescription, sizes: StepCounts) -> Option<u64> {
     let number = |size: usize| u32::try_from(size).unwrap_or(u32::MAX);
     let run = RunDescription {
         chunk_steps: number(sizes.message),
@@ -102,15 +102,15 @@ fn bytes(run: &RunDescription, sizes: Sizes) -> Option<u64> {
     run.largest_message_bytes()
 }
 
-fn fits(run: &RunDescription, sizes: Sizes) -> bool {
+fn fits(run: &RunDescription, sizes: StepCounts) -> bool {
     bytes(run, sizes).is_some_and(|bytes| bytes <= RunDescription::MESSAGE_LIMIT_BYTES)
 }
 
 /// The largest sizes that fit and are no larger than `now`. Sequences are shortened last, because that changes what is learnt.
-fn largest(run: &RunDescription, now: Sizes, steps: usize) -> Option<Sizes> {
+fn largest(run: &RunDescription, now: StepCounts, steps: usize) -> Option<StepCounts> {
     for window in divisors(steps, now.window) {
         let messages = divisors(steps, now.message).filter(|steps| steps.is_multiple_of(window));
-        let mut sizes = messages.map(|message| Sizes { message, window });
+        let mut sizes = messages.map(|message| StepCounts { message, window });
         if let Some(sizes) = sizes.find(|sizes| fits(run, *sizes)) {
             return Some(sizes);
         }
@@ -126,7 +126,7 @@ fn divisors(whole: usize, most: usize) -> impl Iterator<Item = usize> {
 fn refused(
     config: &RunConfig,
     run: &RunDescription,
-    (now, fitting): (Sizes, Option<Sizes>),
+    (now, fitting): (StepCounts, Option<StepCounts>),
 ) -> ConfigError {
     let limit = RunDescription::MESSAGE_LIMIT_BYTES;
     let resolved = &config.resolved;
@@ -135,7 +135,7 @@ fn refused(
         ConfigError::at(resolved.origin(cause), detail)
     };
     let Some(fitting) = fitting else {
-        let least = bytes(run, Sizes { message: 1, window: 1 });
+        let least = bytes(run, StepCounts { message: 1, window: 1 });
         let least = least.map_or_else(|| "too many".to_owned(), |bytes| bytes.to_string());
         let detail = format!(
             "{URL} = {} does not fit: one step of one environment could have {least} bytes in a message, the limit is \
@@ -232,7 +232,7 @@ mod tests {
     }
 
     fn sizes(observed: usize) -> Option<(usize, usize)> {
-        let found = largest(&run(observed), Sizes { message: 50, window: 10 }, 50)?;
+        let found = largest(&run(observed), StepCounts { message: 50, window: 10 }, 50)?;
         Some((found.message, found.window))
     }
 
@@ -247,7 +247,7 @@ mod tests {
 
     fn refusal(settings: &[&str], observed: usize) -> String {
         let config = config(settings);
-        let now = Sizes::of(&config);
+        let now = StepCounts::of(&config);
         let run = run(observed);
         refused(&config, &run, (now, largest(&run, now, 50))).to_string()
     }

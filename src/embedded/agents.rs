@@ -1,6 +1,6 @@
 //! Descriptions of agents as JSON, as Python's `AgentSpec` has them.
 
-use policy::{ActorPolicy, Head};
+use policy::ActorPolicy;
 use serde_json::{Value, json};
 use sim::EnvironmentBatch;
 
@@ -25,16 +25,12 @@ pub(super) fn of_task(world: &dyn EnvironmentBatch) -> Vec<Value> {
 /// The agents of an external environment, of which only that program knows names and limits.
 pub(super) fn of_policies(policies: &[ActorPolicy]) -> Vec<Value> {
     let agents = policies.iter().enumerate().map(|(index, policy)| {
-        let choices = match policy.head() {
-            Head::Categorical { choices } => Some(choices),
-            _ => None,
-        };
         json!({
             "name": format!("agent_{index}"),
             "joints": [],
             "features": [],
             "action_size": policy.action_size(),
-            "choices": choices,
+            "choices": policy.head().choices(),
             "control_ranges": [],
             "actuators": [],
         })

@@ -35,11 +35,11 @@ type RunName = (String, String, u64);
 
 /// Finished runs by name.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Record(BTreeMap<RunName, RecordedRun>);
+pub(crate) struct Record(BTreeMap<RunName, FinishedRun>);
 
 /// One finished run.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct RecordedRun {
+struct FinishedRun {
     /// In order of environment steps; at least one.
     evaluations: Vec<Evaluation>,
     /// Fields that only the last line of the run contains.
@@ -201,7 +201,7 @@ impl Record {
             weights_sha256: weights_sha256.to_owned(),
             commit: commit.unwrap_or_default().to_owned(),
         };
-        self.0.insert(name(run), RecordedRun { evaluations, origin });
+        self.0.insert(name(run), FinishedRun { evaluations, origin });
         Ok(())
     }
 
@@ -254,7 +254,7 @@ impl Record {
     }
 }
 
-impl RecordedRun {
+impl FinishedRun {
     fn env_steps(&self) -> u64 {
         self.evaluations.last().map_or(0, |last| last.env_steps)
     }
@@ -342,7 +342,7 @@ fn name(run: &PlannedRun) -> RunName {
 
 /// Whether the planned run has the settings of the recorded one of `env_steps` steps. The default interval between evaluations
 /// depends on the length; a longer run in the same folder may also have a longer interval.
-fn is_continued(recorded: &RecordedRun, run: &PlannedRun, env_steps: u64) -> bool {
+fn is_continued(recorded: &FinishedRun, run: &PlannedRun, env_steps: u64) -> bool {
     let recorded = &recorded.origin.settings_sha256;
     let every = run.config.learner.evaluation.every_steps;
     let intervals = [every, (env_steps / EVALUATIONS).max(1)];

@@ -24,7 +24,7 @@ pub(crate) fn is_part(name: &str) -> bool {
 }
 
 /// What a report has written, and what it leaves out.
-pub(crate) struct Report {
+pub(crate) struct WrittenReport {
     /// The table, as Markdown.
     pub(crate) table: String,
     /// The files.
@@ -46,7 +46,7 @@ struct Started {
 }
 
 /// Writes `results.md` if a run is finished, and the figures of the runs that exist.
-pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Report> {
+pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<WrittenReport> {
     target::folder(&file.folder)?;
     let Started { curves, finished, new, damaged } = started(file, runs)?;
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
@@ -71,7 +71,7 @@ pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Resul
         written.extend(figures::write_learning_curve(&file.folder, &shown)?);
         written.extend(figures::write_ablation(&file.folder, &shown)?);
     }
-    Ok(Report { table, written, damaged })
+    Ok(WrittenReport { table, written, damaged })
 }
 
 /// The curves for the figures: of each variant on each task its finished runs, or the others if none is finished. An

@@ -108,7 +108,7 @@ impl ExperimentProgress {
             }
         }
         let (env_steps, total) = steps(runs, &self.known);
-        let figures = Figures {
+        let figures = ProgressFigures {
             finished: self.known.iter().filter(|known| **known == RunFolderState::Finished).count(),
             runs: runs.len(),
             going,
@@ -217,7 +217,7 @@ fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
 
 /// How far an experiment is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Figures {
+struct ProgressFigures {
     finished: usize,
     runs: usize,
     going: usize,
@@ -228,7 +228,7 @@ struct Figures {
     secs: f64,
 }
 
-impl Figures {
+impl ProgressFigures {
     fn words(&self) -> String {
         let speed = self.done as f64 / self.secs.max(f64::MIN_POSITIVE);
         let (env_steps, total) = (chart::thousands(self.env_steps), chart::thousands(self.total));
@@ -261,7 +261,7 @@ mod tests {
 
     #[test]
     fn the_time_left_counts_only_what_was_done_since_the_start() {
-        let figures = Figures {
+        let figures = ProgressFigures {
             finished: 1,
             runs: 4,
             going: 2,
@@ -273,7 +273,7 @@ mod tests {
         // 10,000 steps are left, 100 a second.
         let expected = "1/4 runs finished, 2 at work  6,000/16,000 steps  100 steps/s  1m40s left";
         assert_eq!(figures.words(), expected);
-        let words = Figures { done: 0, ..figures }.words();
+        let words = ProgressFigures { done: 0, ..figures }.words();
         assert_eq!(words, "1/4 runs finished, 2 at work  6,000/16,000 steps");
     }
 }

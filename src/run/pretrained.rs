@@ -82,7 +82,7 @@ pub(crate) fn team_record(task: &str) -> Option<&'static TeamRecord> {
 
 /// A team that comes with the program.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Team {
+pub(crate) struct PretrainedTeam {
     task: &'static str,
     /// Its encoded policies.
     policies: &'static [u8],
@@ -92,7 +92,7 @@ pub(crate) struct Team {
 ///
 /// # Errors
 /// As of [`of_task`]; or it is the path of nothing, and no path of a folder in another one.
-pub(crate) fn named(run: &Path) -> anyhow::Result<Option<Team>> {
+pub(crate) fn named(run: &Path) -> anyhow::Result<Option<PretrainedTeam>> {
     let Some(name) = run.to_str().filter(|_| !run.exists()) else { return Ok(None) };
     let team = of_task(name)?;
     if team.is_none() && !name.contains(is_separator) {
@@ -116,9 +116,9 @@ pub(crate) fn tasks() -> impl Iterator<Item = &'static str> {
 ///
 /// # Errors
 /// The program has no team for the task, or the name is that of a team with typing errors.
-pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Team>> {
+pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<PretrainedTeam>> {
     if let Some((task, policies)) = TEAMS.iter().find(|(task, _)| *task == name) {
-        return Ok(Some(Team { task, policies }));
+        return Ok(Some(PretrainedTeam { task, policies }));
     }
     let all = sim::task_names();
     let meant = nearest(name, tasks()).or_else(|| nearest(name, all.iter().copied()));
@@ -134,7 +134,7 @@ pub(crate) fn of_task(name: &str) -> anyhow::Result<Option<Team>> {
     Err(Usage::new(why).into())
 }
 
-impl Team {
+impl PretrainedTeam {
     /// Its policies with the settings of their run.
     pub(crate) fn trained(self) -> anyhow::Result<Trained> {
         let Self { task, policies } = self;

@@ -101,7 +101,7 @@ pub(crate) struct Verifier<'a> {
 }
 
 /// What one training of a part evaluates.
-struct Evaluations {
+struct PartEvaluations {
     /// Whether actions are sampled.
     sampled: bool,
     /// Number of episodes by iteration.
@@ -146,7 +146,7 @@ impl<'a> Verifier<'a> {
 
     /// The recorded evaluations of a part's policies, and of those of its first checkpoint, by whether they sample actions. There
     /// are those of the settings at least, even if they are none.
-    fn evaluations(&self, part: Part) -> anyhow::Result<Vec<Evaluations>> {
+    fn evaluations(&self, part: Part) -> anyhow::Result<Vec<PartEvaluations>> {
         let mut kinds = BTreeMap::new();
         for (iteration, line) in self.recorded.evaluations.range(part.start..=part.end) {
             let count = &line["episodes"];
@@ -167,12 +167,12 @@ impl<'a> Verifier<'a> {
             kinds.insert(usual, BTreeMap::new());
         }
         let kinds = kinds.into_iter();
-        Ok(kinds.map(|(sampled, planned)| Evaluations { sampled, planned }).collect())
+        Ok(kinds.map(|(sampled, planned)| PartEvaluations { sampled, planned }).collect())
     }
 
     fn compute(
         &self,
-        (part, evaluations): (Part, &Evaluations),
+        (part, evaluations): (Part, &PartEvaluations),
         folder: &Path,
         mut reached: impl FnMut(u64) + Send + 'static,
     ) -> anyhow::Result<Recorded> {
@@ -237,7 +237,7 @@ impl<'a> Verifier<'a> {
 
     fn compare(
         &self,
-        (part, evaluations): (Part, &Evaluations),
+        (part, evaluations): (Part, &PartEvaluations),
         found: &Recorded,
         confirmed: &mut Confirmed,
     ) -> anyhow::Result<()> {

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use proto::wire::environment_service_server::{EnvironmentService, EnvironmentServiceServer};
+use proto::wire::play_request::Request as Asked;
 use proto::wire::{PlayResponse, play_response};
-use proto::{EnvironmentSpec, PlayRequest, Steps, View, wire};
+use proto::{EnvironmentSpec, Steps, View, wire};
 use sim::{EnvironmentBatch, Outcome, TaskConfig};
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
@@ -15,6 +16,8 @@ use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::transport::Server;
 use tonic::{Request, Response, Status, Streaming};
+
+use crate::peer::{steps_answer, view_answer};
 
 /// Faults of the environment service.
 #[derive(Clone)]
@@ -114,8 +117,7 @@ impl Game {
     ) {
         let mut games = BTreeMap::new();
         while let Some(Ok(request)) = requests.next().await {
-            let answer =
-                self.answer(&mut games, PlayRequest::from_wire(&request, &spec()).unwrap());
+            let answer = self.answer(&mut games, request.request.unwrap());
             if answers.send(answer).await.is_err() {
                 return;
             }
@@ -125,14 +127,14 @@ impl Game {
     fn answer(
         &self,
         games: &mut BTreeMap<u32, Box<dyn EnvironmentBatch>>,
-        request: PlayRequest,
+        request: Asked,
     ) -> Result<PlayResponse, Status> {
         let count = self.answers.fetch_add(1, Ordering::Relaxed) + 1;
         if self.faults.abort_every > 0 && count.is_multiple_of(self.faults.abort_every) {
             return Err(Status::unavailable("temporarily unavailable"));
         }
-        if let PlayRequest::Restore { state, .. } = &request
-            && (self.faults.rejects)(state)
+        if let Asked::Restore(restored) = &request
+            && (self.faults.rejects)(&restored.state)
         {
             return Err(Status::invalid_argument("ValueError: no state of this game"));
         }
@@ -144,29 +146,34 @@ impl Game {
     }
 }
 
-fn play(
-    games: &mut BTreeMap<u32, Box<dyn EnvironmentBatch>>,
-    request: PlayRequest,
-) -> PlayResponse {
+fn play(games: &mut BTreeMap<u32, Box<dyn EnvironmentBatch>>, request: Asked) -> PlayResponse {
     match request {
-        PlayRequest::Reset { environment: number, seed } => {
-            let game = games.entry(number).or_insert_with(environment);
+        Asked::Reset(reset) => {
+            let game = games.entry(reset.environment).or_insert_with(environment);
             // The client truncates episodes, never later than the game's own limit.
-            game.reset(0, 0, u32::MAX, seed).unwrap();
-            look(&**game).to_wire(1)
+            game.reset(0, 0, u32::MAX, reset.seed[..].try_into().unwrap()).unwrap();
+            view_answer(&look(&**game))
         }
-        PlayRequest::Restore { environment: number, state } => {
-            let game = games.entry(number).or_insert_with(environment);
-            game.restore(0, &state).unwrap();
-            look(&**game).to_wire(1)
+        Asked::Restore(restored) => {
+            let game = games.entry(restored.environment).or_insert_with(environment);
+            game.restore(0, &restored.state).unwrap();
+            view_answer(&look(&**game))
         }
-        PlayRequest::Save { environment: number } => {
-            let state = games[&number].encode(0).unwrap().into();
+        Asked::Save(saved) => {
+            let state = games[&saved.environment].encode(0).unwrap().into();
             let answer = play_response::Answer::Saved(wire::EnvironmentState { state });
             PlayResponse { answer: Some(answer) }
         }
-        PlayRequest::Step { environments, actions } => step(games, &environments, &actions),
+        Asked::Step(asked) => {
+            let actions = asked.actions.iter().map(numbers).collect::<Vec<_>>();
+            step(games, &asked.environments, &actions)
+        }
     }
+}
+
+/// The floats of a tensor.
+pub(crate) fn numbers(tensor: &wire::Tensor) -> Vec<f32> {
+    tensor.data.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
 fn step(
@@ -191,7 +198,7 @@ fn step(
         steps.terminated.push(outcome[0].terminated);
         steps.truncated.push(outcome[0].truncated);
     }
-    steps.to_wire()
+    steps_answer(&steps)
 }
 
 /// What the agents of the first environment observe, and its state.

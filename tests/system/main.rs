@@ -18,6 +18,8 @@ mod output;
 mod own_task;
 mod pack;
 mod page;
+#[path = "../../proto/tests/wire/peer.rs"]
+mod peer;
 mod processes;
 mod roles;
 mod runs;

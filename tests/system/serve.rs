@@ -15,7 +15,8 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status, Streaming};
 
-use crate::cue_service::look;
+use crate::cue_service::{look, numbers};
+use crate::peer::{start_request, step_request};
 use crate::processes::Background;
 use crate::runs::{Runs, command, inspect, refused, succeeded, text, train};
 
@@ -89,29 +90,28 @@ fn observations(world: &dyn EnvironmentBatch) -> Vec<(usize, Vec<f32>)> {
 struct Acting {
     steps: mpsc::Sender<wire::ActRequest>,
     answers: Streaming<wire::ActResponse>,
-    action_sizes: Vec<usize>,
 }
 
 impl Acting {
     async fn begin(server: &Server, choice: ActionChoice) -> Self {
-        let agents = server.describe().await.agents.into_iter();
-        let actions = agents.map(|agent| agent.agent.unwrap().action.unwrap());
-        let action_sizes = actions.map(|action| action.size as usize).collect();
         let (steps, queue) = mpsc::channel(4);
-        steps.send(choice.to_wire()).await.unwrap();
+        steps.send(start_request(choice)).await.unwrap();
         let act = server.client().await.act(ReceiverStream::new(queue)).await;
         let answers = act.unwrap().into_inner();
-        Self { steps, answers, action_sizes }
+        Self { steps, answers }
     }
 
     async fn send(&mut self, message: wire::ActRequest) -> Result<Acted, Status> {
         self.steps.send(message).await.unwrap();
         let answer = self.answers.message().await?.unwrap();
-        Ok(Acted::from_wire(answer, &self.action_sizes).unwrap())
+        let action =
+            |row: &wire::AgentAction| (row.agent as usize, numbers(row.action.as_ref().unwrap()));
+        let weights = WeightsName::from_wire(answer.weights, "weights").unwrap();
+        Ok(Acted { weights, actions: answer.actions.iter().map(action).collect() })
     }
 
     async fn step(&mut self, step: ActStep) -> Acted {
-        self.send(step.to_wire()).await.unwrap()
+        self.send(step_request(&step)).await.unwrap()
     }
 }
 
@@ -264,8 +264,8 @@ async fn invalid_steps_are_rejected_by_field_and_do_not_affect_other_streams() {
     let mut honest = Acting::begin(&server, ActionChoice::Mean).await;
     honest.step(next(seen.clone())).await;
     for (message, reason, field) in [
-        (next(wild).to_wire(), Reason::NotFinite, "step.observations[1].observation"),
-        (ActionChoice::Mean.to_wire(), Reason::BadValue, "start"),
+        (step_request(&next(wild)), Reason::NotFinite, "step.observations[1].observation"),
+        (start_request(ActionChoice::Mean), Reason::BadValue, "start"),
     ] {
         let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
         let status = acting.send(message).await.unwrap_err();
@@ -280,7 +280,7 @@ async fn a_stream_ends_at_its_deadline_and_when_the_server_stops() {
     let folder = trained();
     let mut server = Server::start(folder, &[]);
     let (sender, queue) = mpsc::channel(1);
-    sender.send(ActionChoice::Mean.to_wire()).await.unwrap();
+    sender.send(start_request(ActionChoice::Mean)).await.unwrap();
     let mut request = Request::new(ReceiverStream::new(queue));
     // The header is set by hand, so that only the server enforces the deadline.
     request.metadata_mut().insert("grpc-timeout", "200m".parse().unwrap());

@@ -1,6 +1,9 @@
 //! Writes what fuzzing begins with into `fuzz/corpus`: for each target that reads a format
 //! a few inputs as the program itself makes them.
 
+#[path = "../../../proto/tests/wire/peer.rs"]
+#[expect(dead_code, reason = "no target reads requests to policies")]
+mod peer;
 #[path = "../../../proto/tests/wire/sample.rs"]
 mod sample;
 
@@ -160,8 +163,8 @@ fn answers() -> Vec<Seed> {
     let saved = wire::PlayResponse { answer: Some(Answer::Saved(state)) };
     vec![
         (Some(0), described.encode_to_vec()),
-        (Some(1), view(1).to_wire(1).encode_to_vec()),
-        (Some(2), steps.to_wire().encode_to_vec()),
+        (Some(1), peer::view_answer(&view(1)).encode_to_vec()),
+        (Some(2), peer::steps_answer(&steps).encode_to_vec()),
         (Some(3), saved.encode_to_vec()),
     ]
 }

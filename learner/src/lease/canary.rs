@@ -98,7 +98,7 @@ struct Replay<'a> {
 }
 
 /// What the policy makes of a chunk's observations.
-struct Replayed {
+struct ReplayOutput {
     /// `[every, blocks, E, out]`, with the noise that agents share.
     output: Vec<f32>,
     /// `[blocks, E, H]` after each block.
@@ -156,7 +156,7 @@ impl Replay<'_> {
 
     /// Runs the policy over all blocks side by side: each starts from its own stored state, so one forward pass takes
     /// a step of every block.
-    fn replay(&self, scratch: &mut Scratch) -> Replayed {
+    fn replay(&self, scratch: &mut Scratch) -> ReplayOutput {
         let count = self.environments;
         let blocks = self.blocks();
         let (obs, units) = (self.policy.observation_size(), self.policy.hidden_size());
@@ -180,7 +180,7 @@ impl Replay<'_> {
                 hidden[row * units..(row + 1) * units].fill(0.0);
             }
         }
-        Replayed { output, hidden }
+        ReplayOutput { output, hidden }
     }
 
     /// Whether an episode ended with this step of its block; `row` is `block * E + e`.

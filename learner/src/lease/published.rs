@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use policy::snapshot::{Repeat, repeats};
-use policy::{ActorPolicy, Head, PolicySnapshot};
+use policy::{ActorPolicy, PolicySnapshot};
 use proto::{AgentSpec, Digest, PolicyVersion, Reason, Refusal, WeightsName};
 
 /// Versions kept although no open work names them: the one just published, and the one before it.
@@ -53,10 +53,7 @@ pub fn demand_sizes(
     hidden_sizes: &[u32],
 ) -> Result<(), String> {
     let sizes = |policy: &ActorPolicy| {
-        let choices = match policy.head() {
-            Head::Categorical { choices } => Some(choices),
-            _ => None,
-        };
+        let choices = policy.head().choices();
         (policy.observation_size(), policy.action_size(), choices, policy.hidden_size())
     };
     let found = policy.agents.iter().map(sizes).collect::<Vec<_>>();

@@ -51,7 +51,6 @@ impl Metrics {
     /// A file cannot be read or written.
     pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, Returns), FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS), iteration)?;
-        lines.warn_of_gaps(&kept, iteration);
         let measured = returns(&kept);
         let events = EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?;
         let mut curves = Curves::default();

@@ -90,13 +90,17 @@ pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
     let appended = appended.and_then(|mut file| {
         let mut text = Vec::new();
         file.read_to_end(&mut text)?;
-        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
-        file.set_len(whole as u64)?;
+        file.set_len(whole_lines(&text) as u64)?;
         file.write_all(format!("{line}\n").as_bytes())?;
         file.sync_all()
     });
     appended.map_err(FileError::of("write", path))?;
     sync_name(path)
+}
+
+/// Number of bytes up to the end of the last whole line.
+pub(crate) fn whole_lines(text: &[u8]) -> usize {
+    text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1)
 }
 
 /// Creates a folder and its parents if they do not exist, and waits until the disk has the names of all that are new.

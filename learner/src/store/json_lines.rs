@@ -26,7 +26,7 @@ pub struct JsonLines {
 
 impl JsonLines {
     /// Opens the file and drops every line past `iteration`, also half a line that a crash left.
-    /// Returns the lines that stay, too.
+    /// Returns the lines that stay, too, and warns of iterations up to `iteration` that have none.
     ///
     /// # Errors
     /// Names the file if it cannot be read or written.
@@ -37,7 +37,7 @@ impl JsonLines {
         };
         let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         // A crash may leave half of the last line.
-        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let whole = durable::whole_lines(&text);
         let mut kept = Vec::new();
         let mut content = Vec::new();
         let mut damaged = 0;
@@ -62,19 +62,12 @@ impl JsonLines {
         if content != text {
             durable::replace(path, &content)?;
         }
-        Ok((Self { path: path.to_path_buf(), file: opened(path)?, waiting: Vec::new() }, kept))
-    }
-
-    /// Warns of iterations up to `last` that have no line.
-    pub(crate) fn warn_of_gaps(&self, lines: &[Value], last: u64) {
-        let lost = gaps(&iterations(lines), last);
+        let file = opened(path)?;
+        let lost = gaps(&iterations(&kept), iteration);
         if !lost.is_empty() {
-            tracing::warn!(
-                "{} has no lines of iterations {}",
-                self.path.display(),
-                lost.join(", ")
-            );
+            tracing::warn!("{shown} has no lines of iterations {}", lost.join(", "));
         }
+        Ok((Self { path: path.to_path_buf(), file, waiting: Vec::new() }, kept))
     }
 
     /// Adds one line. If the file cannot be written, that is logged, and the line waits.
@@ -176,7 +169,7 @@ impl JsonLinesReader {
         file.seek(SeekFrom::Start(self.read))?;
         let mut text = Vec::new();
         file.read_to_end(&mut text)?;
-        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let whole = durable::whole_lines(&text);
         self.read += whole as u64;
         Ok(NewLines { from_the_start, ..objects(&text[..whole]) })
     }

@@ -82,9 +82,7 @@ impl Environments {
         if !matches!(self.starts[environment], Start::Continue { .. }) {
             return false;
         }
-        self.episode_return[environment] = 0.0;
-        self.episode_length[environment] = 0;
-        self.finished[environment] += 1;
+        self.begin_episode(environment);
         let episode = self.finished[environment];
         let limit = self.episode_steps;
         self.starts[environment] = Start::Fresh { episode, limit };
@@ -143,6 +141,11 @@ impl Environments {
         while self.recent.len() > RECENT {
             self.recent.pop_front();
         }
+        self.begin_episode(environment);
+    }
+
+    /// Resets the figures of the environment's current episode.
+    fn begin_episode(&mut self, environment: usize) {
         self.episode_return[environment] = 0.0;
         self.episode_length[environment] = 0;
         self.finished[environment] += 1;

@@ -40,22 +40,16 @@ pub struct Evaluated {
 
 impl Evaluations {
     /// The evaluations of a run of `last_iteration` iterations. `measured` are the results that are already in
-    /// the metrics.
+    /// the metrics. There are exactly the `planned` ones, if any are planned.
     #[must_use]
     pub fn new(
         config: EvaluationConfig,
         steps_per_iteration: u64,
         last_iteration: u64,
         measured: Returns,
+        planned: Option<PlannedEvaluations>,
     ) -> Self {
-        let (latest, planned) = (None, None);
-        Self { config, steps_per_iteration, last_iteration, latest, measured, planned }
-    }
-
-    /// The same with exactly these evaluations, if any are planned.
-    #[must_use]
-    pub fn with(self, planned: Option<PlannedEvaluations>) -> Self {
-        Self { planned, ..self }
+        Self { config, steps_per_iteration, last_iteration, latest: None, measured, planned }
     }
 
     /// Number of episodes of the evaluation of an iteration.
@@ -135,7 +129,7 @@ mod tests {
 
     fn evaluations(every_steps: u64) -> Evaluations {
         let config = EvaluationConfig { every_steps, episodes: 2, sampled: false };
-        Evaluations::new(config, 4000, 30, Returns::new())
+        Evaluations::new(config, 4000, 30, Returns::new(), None)
     }
 
     #[test]
@@ -151,7 +145,8 @@ mod tests {
 
     #[test]
     fn planned_evaluations_replace_the_schedule() {
-        let mut planned = evaluations(0).with(Some([(3, 5), (7, 2)].into()));
+        let plan = Some([(3, 5), (7, 2)].into());
+        let mut planned = Evaluations { planned: plan, ..evaluations(0) };
         assert_eq!((0..=30).filter(|it| planned.due(*it)).collect::<Vec<_>>(), [3, 7]);
         assert_eq!((planned.episodes(3), planned.episodes(7)), (5, 2));
         planned.begin(Evaluated { iteration: 7, policy: Bytes::new() });

@@ -108,8 +108,8 @@ fn build(
             environments.steps_per_iteration(),
             launch.iterations,
             measured,
-        )
-        .with(launch.evaluations.clone()),
+            launch.evaluations.clone(),
+        ),
         policy: Bytes::new(),
         observations,
         algorithm,

@@ -88,7 +88,8 @@ impl<R: PolicyUpdate> Algorithm for OnPolicy<R> {
         iteration: u64,
     ) -> Result<Report, MarlError> {
         let Some(prepared) = self.team.prepare(batch, &rewards.rewards, iteration)? else {
-            return Ok(skipped_report());
+            // Returns are not finite.
+            return Ok(vec![("losses/update_skipped".to_owned(), 1.0)]);
         };
         let Team { agents, critic, seed, .. } = &mut self.team;
         let update = || self.rule.update_policies(agents, &prepared, (*seed, iteration));
@@ -271,11 +272,6 @@ impl Team {
         }
         Ok(())
     }
-}
-
-/// Metrics of an update that was skipped because returns were not finite.
-fn skipped_report() -> Report {
-    vec![("losses/update_skipped".to_owned(), 1.0)]
 }
 
 /// Metrics of the critic's fit.

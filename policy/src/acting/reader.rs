@@ -12,7 +12,8 @@ pub(super) struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn array(&mut self, name: &str, expected: &[usize]) -> Result<&[f32], PolicyError> {
+    /// The elements of the array with this name and shape.
+    pub(super) fn array(&mut self, name: &str, expected: &[usize]) -> Result<&[f32], PolicyError> {
         let wrong = |what: String| PolicyError::Snapshot(format!("{name} {what}"));
         match self.arrays.get(name) {
             Some(Array::F32 { shape, data }) if shape == expected => {
@@ -30,18 +31,6 @@ impl Reader<'_> {
         }
     }
 
-    pub(super) fn vector(&mut self, name: &str, length: usize) -> Result<Vec<f32>, PolicyError> {
-        Ok(self.array(name, &[length])?.to_vec())
-    }
-
-    pub(super) fn matrix(
-        &mut self,
-        name: &str,
-        shape: [usize; 2],
-    ) -> Result<Vec<f32>, PolicyError> {
-        Ok(self.array(name, &shape)?.to_vec())
-    }
-
     /// The standardisation of observations, if present.
     pub(super) fn standardisation(
         &mut self,
@@ -50,7 +39,8 @@ impl Reader<'_> {
         if !self.arrays.contains_key(MEAN) {
             return Ok(None);
         }
-        let (mean, inverse) = (self.vector(MEAN, width)?, self.vector(INVERSE, width)?);
+        let mean = self.array(MEAN, &[width])?.to_vec();
+        let inverse = self.array(INVERSE, &[width])?.to_vec();
         Ok(Some(Standardisation { mean, inverse }))
     }
 

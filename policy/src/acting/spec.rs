@@ -25,7 +25,7 @@ pub struct ActorSpec {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) hidden_norm: Option<InputNorm>,
     pub(super) observation: usize,
-    pub(super) action: usize,
+    pub(crate) action: usize,
     pub(super) encoder: usize,
     pub(super) hidden: usize,
     pub(super) width: usize,
@@ -147,10 +147,6 @@ impl ActorSpec {
     pub(crate) fn with_noise_share(mut self, share: f32) -> Self {
         self.head = self.head.map(|head| head.with_noise_share(share));
         self
-    }
-
-    pub(crate) fn action(&self) -> usize {
-        self.action
     }
 
     pub(crate) fn outputs(&self) -> usize {

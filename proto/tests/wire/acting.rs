@@ -1,13 +1,13 @@
-//! Requests to trained policies and their answers survive the round trip, and an invalid step is rejected by name.
+//! Requests to trained policies are read, and an invalid step is rejected by name.
 
 use proto::Reason::{BadShape, BadValue, MissingField, NotFinite};
 use proto::{ActStep, Acted, ActionChoice, Digest, PolicyVersion, WeightsName, wire};
 
 use crate::assert_refused;
+use crate::peer::{start_request, step_request};
 
-/// Observation and action sizes of the sample run's agents.
+/// Observation sizes of the sample run's agents.
 const OBSERVATIONS: [usize; 2] = [3, 2];
-const ACTIONS: [usize; 2] = [2, 1];
 
 fn weights() -> WeightsName {
     WeightsName { version: PolicyVersion(7), digest: Digest([3; 32]) }
@@ -18,13 +18,21 @@ fn step() -> ActStep {
 }
 
 #[test]
-fn beginnings_steps_and_answers_survive_the_round_trip() {
+fn beginnings_and_steps_are_read_and_answers_have_the_actions_of_their_agents() {
     for choice in [ActionChoice::Mean, ActionChoice::Sampled { seed: 9 }] {
-        assert_eq!(ActionChoice::from_wire(choice.to_wire()), Ok(choice));
+        assert_eq!(ActionChoice::from_wire(start_request(choice)), Ok(choice));
     }
-    assert_eq!(ActStep::from_wire(&step().to_wire(), &OBSERVATIONS), Ok(step()));
+    assert_eq!(ActStep::from_wire(&step_request(&step()), &OBSERVATIONS), Ok(step()));
     let acted = Acted { weights: weights(), actions: vec![(1, vec![0.25]), (0, vec![1.0, -1.0])] };
-    assert_eq!(Acted::from_wire(acted.to_wire(), &ACTIONS), Ok(acted));
+    let answer = acted.to_wire();
+    assert_eq!(WeightsName::from_wire(answer.weights, "weights"), Ok(weights()));
+    let actions = answer.actions.iter().map(|row| {
+        let action = row.action.as_ref().unwrap();
+        let values = action.data.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        assert_eq!(action.shape, [values.len() as u32]);
+        (row.agent as usize, values.collect::<Vec<f32>>())
+    });
+    assert_eq!(actions.collect::<Vec<_>>(), acted.actions);
 }
 
 #[test]
@@ -38,7 +46,7 @@ fn a_step_that_does_not_fit_the_team_is_refused_by_field() {
         (vec![(1, vec![0.0, f32::NAN])], NotFinite, "[0].observation"),
         (vec![(1, vec![f32::INFINITY, 0.0])], NotFinite, "[0].observation"),
     ] {
-        let step = ActStep { reset: false, observations }.to_wire();
+        let step = step_request(&ActStep { reset: false, observations });
         let read = ActStep::from_wire(&step, &OBSERVATIONS);
         assert_refused(read, reason, &format!("step.observations{field}"));
     }
@@ -46,8 +54,8 @@ fn a_step_that_does_not_fit_the_team_is_refused_by_field() {
 
 #[test]
 fn a_stream_begins_once_and_with_its_beginning() {
-    assert_refused(ActionChoice::from_wire(step().to_wire()), MissingField, "start");
-    let start = ActionChoice::Mean.to_wire();
+    assert_refused(ActionChoice::from_wire(step_request(&step())), MissingField, "start");
+    let start = start_request(ActionChoice::Mean);
     assert_refused(ActStep::from_wire(&start, &OBSERVATIONS), BadValue, "start");
     let undecided = wire::act_request::Content::Start(wire::ActStart { choice: None });
     let undecided = wire::ActRequest { content: Some(undecided) };

@@ -7,6 +7,7 @@ mod film;
 mod hostile;
 mod left_out;
 mod lies;
+mod peer;
 mod play;
 mod registration;
 mod round_trips;

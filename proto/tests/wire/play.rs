@@ -1,11 +1,13 @@
-//! Messages of an environment service survive the round trip, and an invalid answer is rejected by name.
+//! Requests to an environment service and its answers, of which an invalid one is rejected by name.
 
 use bytes::Bytes;
 use proto::Reason::{BadShape, BadValue, Inconsistent, MissingField, NotFinite};
+use proto::wire::play_request::Request;
 use proto::wire::play_response::Answer;
 use proto::{EnvironmentSpec, PlayRequest, Reason, Refusal, Steps, View, saved_state, wire};
 
 use crate::assert_refused;
+use crate::peer::{steps_answer, view_answer};
 use crate::sample::environment;
 
 fn view(count: usize) -> View {
@@ -28,25 +30,30 @@ fn saved(bytes: usize) -> wire::PlayResponse {
 }
 
 #[test]
-fn requests_survive_the_round_trip() {
-    for request in [
-        PlayRequest::Reset { environment: 3, seed: [9; 32] },
-        PlayRequest::Restore { environment: 0, state: vec![1, 2] },
-        PlayRequest::Save { environment: 1 },
-        PlayRequest::Step {
-            environments: vec![0, 2],
-            actions: vec![vec![0.1, 0.2, 0.3, 0.4], vec![-1.0, 1.0]],
-        },
-    ] {
-        assert_eq!(PlayRequest::from_wire(&request.to_wire(), &environment()), Ok(request));
-    }
+fn a_request_has_its_environments_and_the_actions_as_rows() {
+    let reset = PlayRequest::Reset { environment: 3, seed: [9; 32] }.to_wire();
+    let expected = wire::ResetEnvironment { environment: 3, seed: vec![9; 32].into() };
+    assert_eq!(reset.request, Some(Request::Reset(expected)));
+    let restore = PlayRequest::Restore { environment: 0, state: vec![1, 2] }.to_wire();
+    let expected = wire::RestoreEnvironment { environment: 0, state: vec![1, 2].into() };
+    assert_eq!(restore.request, Some(Request::Restore(expected)));
+    let save = PlayRequest::Save { environment: 1 }.to_wire();
+    assert_eq!(save.request, Some(Request::Save(wire::SaveEnvironment { environment: 1 })));
+    let actions = vec![vec![0.1, 0.2, 0.3, 0.4], vec![-1.0, 1.0]];
+    let step = PlayRequest::Step { environments: vec![0, 2], actions }.to_wire();
+    let Some(Request::Step(step)) = step.request else { panic!("no step") };
+    assert_eq!(step.environments, [0, 2]);
+    let shapes = step.actions.iter().map(|rows| rows.shape.as_slice()).collect::<Vec<_>>();
+    assert_eq!(shapes, [[2, 2], [2, 1]]);
+    let first: Vec<u8> = [0.1_f32, 0.2, 0.3, 0.4].iter().flat_map(|x| x.to_le_bytes()).collect();
+    assert_eq!(step.actions[0].data, first);
 }
 
 #[test]
-fn answers_survive_the_round_trip() {
+fn answers_are_read() {
     let spec = environment();
-    assert_eq!(View::from_wire(&view(1).to_wire(1), &spec), Ok(view(1)));
-    assert_eq!(Steps::from_wire(&steps().to_wire(), &spec, 2), Ok(steps()));
+    assert_eq!(View::from_wire(&view_answer(&view(1)), &spec), Ok(view(1)));
+    assert_eq!(Steps::from_wire(&steps_answer(&steps()), &spec, 2), Ok(steps()));
     assert_eq!(saved_state(&saved(64), &spec), Ok(vec![7; 64]));
 }
 
@@ -77,7 +84,7 @@ fn an_answer_that_does_not_fit_is_refused_by_name() {
         ),
     ];
     for (lie, reason, field) in lies {
-        let mut answer = steps().to_wire();
+        let mut answer = steps_answer(&steps());
         let Some(Answer::Steps(steps)) = &mut answer.answer else { panic!("no steps") };
         lie(steps);
         assert_refused(Steps::from_wire(&answer, &environment(), 2), reason, field);
@@ -88,7 +95,7 @@ fn an_answer_that_does_not_fit_is_refused_by_name() {
 fn another_answer_than_the_one_asked_for_is_refused() {
     let nothing = wire::PlayResponse { answer: None };
     for (answer, message) in [
-        (steps().to_wire(), "BAD_VALUE: answer: steps, expected view"),
+        (steps_answer(&steps()), "BAD_VALUE: answer: steps, expected view"),
         (nothing, "MISSING_FIELD: answer: must be set"),
     ] {
         let refusal = View::from_wire(&answer, &environment()).unwrap_err();

@@ -56,7 +56,8 @@ pub fn replay(bytes: &[u8], mut on_share: impl FnMut(u64, u64)) -> Result<Replay
         Ok(())
     })?;
     let world = sim::environments(&log.task()?, 1);
-    let mut player = Player::new(world.map_err(|error| LogError::Unfit(error.to_string()))?);
+    let world = world.map_err(|error| LogError::Unfit(error.to_string()))?;
+    let mut player = Player { world };
     let mut replayed = Replayed::default();
     read_shares(bytes, |share| {
         if replayed.difference.is_none() {
@@ -77,22 +78,12 @@ pub fn replay(bytes: &[u8], mut on_share: impl FnMut(u64, u64)) -> Result<Replay
     Ok(replayed)
 }
 
-/// One environment, with buffers for its state and observations.
+/// One environment.
 struct Player {
     world: Box<dyn EnvironmentBatch>,
-    state: Vec<f32>,
-    observations: Vec<Vec<f32>>,
 }
 
 impl Player {
-    fn new(world: Box<dyn EnvironmentBatch>) -> Self {
-        let description = world.description();
-        let state = vec![0.0; description.state.len()];
-        let agents = description.agents.iter();
-        let observations = agents.map(|agent| vec![0.0; agent.observation.len()]).collect();
-        Self { world, state, observations }
-    }
-
     /// Replays a share; returns the first difference, if any.
     fn play(&mut self, share: &LoggedShare) -> Result<Option<ReplayDifference>, LogError> {
         let episode = &share.head.episode_id;
@@ -129,7 +120,7 @@ impl Player {
     }
 
     /// Compares the state after the last step of a share.
-    fn compare_end(&mut self, end: &ShareEnd) -> Option<Mismatch> {
+    fn compare_end(&self, end: &ShareEnd) -> Option<Mismatch> {
         let observations = end.observations.iter().map(|row| row.observation.as_slice());
         self.compare(&end.state, observations).or_else(|| {
             let logged = &end.environment_state;
@@ -141,29 +132,28 @@ impl Player {
 
     /// Compares the current state and observations with the logged ones.
     fn compare<'a>(
-        &mut self,
+        &self,
         state: &[f32],
         observations: impl ExactSizeIterator<Item = &'a [f32]>,
     ) -> Option<Mismatch> {
-        self.world.state(0, &mut self.state);
+        let found = self.world.state_of(0);
         let name = |index: usize| {
             let feature = &self.world.description().state[index].name;
             format!("the global state's {feature}")
         };
-        if let Some(mismatch) = numbers("the global state", state, &self.state, name) {
+        if let Some(mismatch) = numbers("the global state", state, &found, name) {
             return Some(mismatch);
         }
-        let agents = (observations.len(), self.observations.len());
-        if let Some(mismatch) = value("the number of agents", agents.0, agents.1) {
+        let found = self.world.observations_of(0);
+        if let Some(mismatch) = value("the number of agents", observations.len(), found.len()) {
             return Some(mismatch);
         }
-        for (agent, logged) in observations.enumerate() {
-            self.world.observation(0, agent, &mut self.observations[agent]);
+        for (agent, (logged, found)) in observations.zip(found).enumerate() {
             let features = &self.world.description().agents[agent].observation;
             let name =
                 |index: usize| format!("agent {agent}'s observation of {}", features[index].name);
             let what = format!("agent {agent}'s observation");
-            if let Some(mismatch) = numbers(&what, logged, &self.observations[agent], name) {
+            if let Some(mismatch) = numbers(&what, logged, &found, name) {
                 return Some(mismatch);
             }
         }

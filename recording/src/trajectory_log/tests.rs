@@ -17,7 +17,7 @@ use proto::{
     ActionChoice, Digest, EnvironmentStart, Episodes, EvaluationWork, Incarnation, Lease, LeaseId,
     PolicyVersion, RolloutWork, Start, TrajectoryChunk, WeightsName, Work,
 };
-use rollout::{StepEvent, play_episode};
+use rollout::{EvaluationEpisode, StepEvent, play_episode};
 
 use super::shares::{ReadShares, read_shares};
 use super::source::read_bytes;
@@ -86,7 +86,9 @@ pub(super) fn evaluate(handle: &LogHandle, work: EvaluationWork) {
     let mut world = sim::environments(&task(), 1).unwrap();
     let key = DrawKey::of(RunSeed(3), Draw::of(Purpose::EvaluationReset));
     let lease = lease(Work::Evaluation(work));
-    let Some(mut collector) = handle.evaluation(&lease, work) else { return };
+    let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(run().seed), work);
+    let episode = EvaluationEpisode { seed, iteration, index };
+    let Some(mut collector) = handle.evaluation(&lease, episode) else { return };
     let start = (key, ActionChoice::Mean);
     play_episode(&mut *world, &policy(), start, |event| collector.observe(&event)).unwrap();
     handle.send(collector);

@@ -6,8 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
-use policy::RunSeed;
-use proto::{Episodes, EvaluationWork, Lease, RolloutWork, RunDescription};
+use proto::{Episodes, Lease, RolloutWork, RunDescription};
 use rollout::EvaluationEpisode;
 use sim::TaskConfig;
 
@@ -143,12 +142,10 @@ impl LogHandle {
     pub fn evaluation(
         &self,
         lease: &Lease,
-        work: EvaluationWork,
+        episode: EvaluationEpisode,
     ) -> Option<ShareCollector<'static>> {
-        let (seed, EvaluationWork { iteration, episode: index }) = (RunSeed(self.run.seed), work);
-        let episode = EvaluationEpisode { seed, iteration, index };
         let collector = || ShareCollector::evaluation(episode, (lease.weights, lease.attempt));
-        self.episodes.include_evaluation(index).then(collector)
+        self.episodes.include_evaluation(episode.index).then(collector)
     }
 
     /// Sends the shares of a lease, if it is finished. If one of its states cannot be encoded, they are lost.

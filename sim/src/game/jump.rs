@@ -7,10 +7,10 @@
 //! Optimum: a return of 50. An untrained policy, whose sigma is 0.37, jumps with probability 1/50, and all four agents at
 //! once with one in six millions if their noise is independent.
 
-use proto::{ActionSpec, FeatureRole, FeatureSpec};
+use proto::{ActionSpec, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
-use super::{EPISODE_STEPS, Game};
+use super::{EPISODE_STEPS, Game, feature};
 
 /// Lowest action that is no jump.
 const THRESHOLD: f32 = 0.75;
@@ -38,9 +38,7 @@ impl Game for Jump {
     }
 
     fn global() -> Vec<FeatureSpec> {
-        ["passed", "together"]
-            .map(|name| FeatureSpec { name: name.to_owned(), role: FeatureRole::Signal })
-            .to_vec()
+        vec![feature("passed"), feature("together")]
     }
 
     fn start(_rng: &mut ChaCha8Rng) -> Self {

@@ -7,10 +7,10 @@
 //! Optimum: a sender that moves to the target and a receiver that repeats the position have a return of 50. Without
 //! information from the sender the best action is 0, and the expected return `1 + 49 (1 - 1/3) = 33.7`.
 
-use proto::{ActionSpec, FeatureRole, FeatureSpec};
+use proto::{ActionSpec, FeatureSpec};
 use rand_chacha::ChaCha8Rng;
 
-use super::{EPISODE_STEPS, Game, at};
+use super::{EPISODE_STEPS, Game, at, feature};
 use crate::noise;
 
 /// Index of the agent that observes the target; the other one is the receiver.
@@ -26,10 +26,6 @@ pub(crate) struct Signal {
     needed: f32,
     /// Target of each step, and one after the last, `[EPISODE_STEPS + 1]`.
     targets: Vec<f32>,
-}
-
-fn feature(name: &str) -> FeatureSpec {
-    FeatureSpec { name: name.to_owned(), role: FeatureRole::Signal }
 }
 
 impl Game for Signal {

@@ -61,7 +61,7 @@ fn experiments_that_add_to_one_record_at_the_same_time_lose_no_run() {
     let run = |seed: u64| {
         let evaluation =
             Evaluation { env_steps: 0, mean_return: 1.0, surprise: None, information: None };
-        let run = RecordedRun { evaluations: vec![evaluation], ..RecordedRun::default() };
+        let run = FinishedRun { evaluations: vec![evaluation], ..FinishedRun::default() };
         Record([(("ant-4x2".into(), "happo".into(), seed), run)].into())
     };
     std::thread::scope(|scope| {

@@ -19,21 +19,8 @@ const NAME: &str = "events.out.tfevents.";
 pub(super) struct EventFile {
     path: PathBuf,
     file: File,
-    clock: Clock,
-}
-
-/// Reconstructed time of the lines: seconds since 1970, advanced by the duration of each iteration.
-#[derive(Debug)]
-struct Clock {
-    secs: f64,
-}
-
-impl Clock {
-    /// Advances the clock by a line's duration and returns the line's time.
-    fn at(&mut self, line: &Value) -> f64 {
-        self.secs += spent_secs(line);
-        self.secs
-    }
+    /// Reconstructed time of the last line: seconds since 1970, advanced by the duration of each iteration.
+    time_secs: f64,
 }
 
 /// Duration of the line's iteration; 0 for an evaluation, which overlaps with iterations.
@@ -50,11 +37,12 @@ impl EventFile {
     /// A file or the folder cannot be written.
     pub(super) fn make(folder: &Path, lines: &[Value], now: SystemTime) -> Result<Self, FileError> {
         let now_secs = now.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
-        let mut clock = Clock { secs: now_secs - lines.iter().map(spent_secs).sum::<f64>() };
-        let mut bytes = record(&version_event(clock.secs));
-        bytes.extend(record(&start_event(clock.secs)));
+        let mut time_secs = now_secs - lines.iter().map(spent_secs).sum::<f64>();
+        let mut bytes = record(&version_event(time_secs));
+        bytes.extend(record(&start_event(time_secs)));
         for line in lines {
-            bytes.extend(record(&scalar_event(clock.at(line), line)));
+            time_secs += spent_secs(line);
+            bytes.extend(record(&scalar_event(time_secs, line)));
         }
         durable::make_folder(folder)?;
         let number = (now_secs as u64).max(newest(folder)?.map_or(0, |newest| newest + 1));
@@ -62,7 +50,7 @@ impl EventFile {
         durable::write(&path, &bytes)?;
         let file = OpenOptions::new().append(true).open(&path);
         let file = file.map_err(FileError::of("open", &path))?;
-        Ok(Self { path, file, clock })
+        Ok(Self { path, file, time_secs })
     }
 
     /// Adds one line.
@@ -70,7 +58,8 @@ impl EventFile {
     /// # Errors
     /// The file cannot be written.
     pub(super) fn add(&mut self, line: &Value) -> Result<(), FileError> {
-        let bytes = record(&scalar_event(self.clock.at(line), line));
+        self.time_secs += spent_secs(line);
+        let bytes = record(&scalar_event(self.time_secs, line));
         self.file.write_all(&bytes).map_err(FileError::of("append to", &self.path))
     }
 }
