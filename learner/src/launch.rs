@@ -128,7 +128,7 @@ impl Launch {
             slot_steps: environments.steps as u32,
             chunk_steps: environments.message_steps as u32,
             hidden_sizes: vec![hidden; self.environment.agents.len()],
-            hidden_every: self.policy.backpropagation_steps as u32,
+            hidden_every: self.training.sequence_steps(&self.policy) as u32,
             rollout_fingerprint: self.rollout_fingerprint,
             config_sha256: self.config_sha256,
             heartbeat_secs: self.config.lease.heartbeat_secs(),

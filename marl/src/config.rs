@@ -5,7 +5,7 @@ mod influence;
 mod maddpg;
 mod surprise;
 
-use policy::InputNorm;
+use policy::{InputNorm, PolicyConfig};
 use policy::setting::{SettingError, between, learning_rate, not_negative, positive, within};
 use serde::{Deserialize, Serialize};
 
@@ -201,6 +201,12 @@ impl TrainingConfig {
         };
         let terminal_states = self.update.rule == Rule::Hasac;
         Some(ReplaySettings { capacity, batch, n_step, warm_up, updates_per_step, terminal_states })
+    }
+
+    /// Steps of a sequence of the update, `policy.backpropagation_steps`; 1 with a replay, which holds single steps.
+    #[must_use]
+    pub fn sequence_steps(&self, policy: &PolicyConfig) -> usize {
+        if self.replay().is_some() { 1 } else { policy.backpropagation_steps }
     }
 
     /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the

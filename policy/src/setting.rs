@@ -20,7 +20,15 @@ pub struct SettingError {
 impl SettingError {
     /// The error of the setting `key`, whose value is not in `range`.
     pub fn new(key: &'static str, found: impl Display, range: impl Into<String>) -> Self {
-        Self { key, found: found.to_string(), range: range.into() }
+        Self { key, found: short(&found.to_string()), range: range.into() }
+    }
+}
+
+/// A number with an exponent if it has more than 24 characters; other texts as they are.
+fn short(text: &str) -> String {
+    match text.parse::<f64>() {
+        Ok(number) if text.len() > 24 => format!("{number:e}"),
+        _ => text.to_owned(),
     }
 }
 
@@ -127,6 +135,7 @@ mod tests {
             (between("a.b", 5, 1, 4), "5 is out of range: 1 to 4"),
             (not_negative("a.b", -1.0), "-1 is out of range: a finite number of at least 0"),
             (learning_rate("a.b", 1.5), "1.5 is out of range: above 0, at most 1"),
+            (learning_rate("a.b", 1e300), "1e300 is out of range: above 0, at most 1"),
             (count("a.b", 0), "0 is out of range: at least 1"),
             (multiple("a.b", 5, "a.c", 2), "5 is out of range: a multiple of a.c = 2"),
             (divisor("a.b", 3, "a.c", 20), "3 is out of range: a divisor of a.c = 20"),

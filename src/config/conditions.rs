@@ -46,7 +46,9 @@ pub(super) enum Property {
 /// Rules that update policies from the newest rollout only.
 pub(super) const ON_POLICY: Condition = Condition::Is("update.rule", &["happo", "mappo"]);
 /// Rules that update policies from a replay.
-pub(super) const OFF_POLICY: Condition = Condition::Is("update.rule", &["maddpg", "hasac"]);
+pub(super) const OFF_POLICY: Condition = Condition::Is("update.rule", OFF_POLICY_RULES);
+/// Their names.
+pub(super) const OFF_POLICY_RULES: &[&str] = &["maddpg", "hasac"];
 /// Multi-agent deterministic policy gradients.
 pub(super) const MADDPG: Condition = Condition::Is("update.rule", &["maddpg"]);
 /// Heterogeneous-agent soft actor-critic.

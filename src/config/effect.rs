@@ -37,6 +37,7 @@ const TABLE: &[(&[&str], &[Condition])] = &[
     (&["policy.encoder", "policy.hidden"], &[GRU]),
     (&["policy.width", "policy.layers"], &[MLP]),
     (&["policy.input_norm"], &[LAYER_NORMS]),
+    (&["policy.backpropagation_steps"], &[ON_POLICY]),
     (&["policy.head_gain"], &[LAYER_NORMS, Condition::RandomHead]),
     (&["policy.sigma_scale", "policy.sigma_floor"], &[ON_POLICY, Environment(Continuous)]),
     (&["policy.noise"], &[GAUSSIAN, Environment(Several), Environment(Continuous)]),

@@ -5,6 +5,7 @@
 use learner::launch::Launch;
 use proto::{Digest, RunDescription};
 
+use super::conditions::OFF_POLICY_RULES;
 use super::resolved::Resolved;
 use crate::config::ConfigError;
 use crate::config::keys::URL;
@@ -26,8 +27,11 @@ const MOST: u64 = 1_000_000;
 /// fit, unless the user gave them: the most that are no more than before, else the fewest. If sequences do not divide the steps
 /// of an iteration, which is refused later, a message has all of them.
 pub(super) fn followed(mut resolved: Resolved) -> Resolved {
+    // As `TrainingConfig::sequence_steps`, before the settings are known to be valid.
+    let has_replay = OFF_POLICY_RULES.contains(&resolved.text("update.rule"));
+    let window = if has_replay { Some(1) } else { resolved.whole(WINDOW) };
     let (Some(slot), Some(window), Some(now)) =
-        (resolved.whole(SLOT), resolved.whole(WINDOW), resolved.whole(MESSAGE))
+        (resolved.whole(SLOT), window, resolved.whole(MESSAGE))
     else {
         return resolved;
     };
@@ -88,7 +92,8 @@ struct StepCounts {
 impl StepCounts {
     fn of(config: &RunConfig) -> Self {
         let environments = &config.learner.environments;
-        Self { message: environments.message_steps, window: config.policy.backpropagation_steps }
+        let window = config.training.sequence_steps(&config.policy);
+        Self { message: environments.message_steps, window }
     }
 }
 
@@ -179,6 +184,7 @@ mod tests {
             (&["environments.steps=130"], 10),
             (&["environments.steps=200"], 50),
             (&["environments.steps=40", "algorithm=maddpg"], 40),
+            (&["environments.steps=45", "algorithm=hasac"], 45),
             (&["policy.backpropagation_steps=25"], 50),
             (&["policy.backpropagation_steps=100", "environments.steps=200"], 100),
             (&["environments.steps=30", "policy.backpropagation_steps=6"], 30),
@@ -197,7 +203,7 @@ mod tests {
              policy.backpropagation_steps = 10"
         );
         assert_eq!(
-            refusal(&["algorithm=maddpg", "policy.backpropagation_steps=7"]),
+            refusal(&["policy.backpropagation_steps=7"]),
             "command line: policy.backpropagation_steps = 7 does not fit: environments.steps = 50 is out of \
              range: a multiple of policy.backpropagation_steps = 7"
         );

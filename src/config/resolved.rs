@@ -21,9 +21,9 @@ const CHOICES: [(&str, &str); 3] = [
 
 /// Serde's names of number types and the words for users; TOML has no whole numbers above 2^63 - 1.
 const NUMBERS: [(&str, &str); 3] = [
-    ("expected u32", "expected a whole number from 0 to 4294967295"),
-    ("expected u64", "expected a whole number from 0 to 9223372036854775807"),
-    ("expected usize", "expected a whole number from 0 to 9223372036854775807"),
+    ("expected u32", "expected a whole number that is not negative, up to 4294967295"),
+    ("expected u64", "expected a whole number that is not negative"),
+    ("expected usize", "expected a whole number that is not negative"),
 ];
 
 /// A value and the layer that set it last.

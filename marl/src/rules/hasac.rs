@@ -68,7 +68,7 @@ impl Hasac {
             seed,
             agents: (0..problem.agents.len()).map(agent).collect::<Result<_, _>>()?,
             critics: TwinCritics::new((config, own), problem, seed)?,
-            experience: ReplayedExperience::new(replay, (config, policy), problem, seed),
+            experience: ReplayedExperience::new(replay, config, problem, seed),
             noise_share: 1.0,
             steps: 0,
         })

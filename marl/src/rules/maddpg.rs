@@ -42,7 +42,7 @@ impl Maddpg {
             .map(|index| MaddpgAgent::new(config, policy, problem, seed, index))
             .collect::<Result<_, _>>()?;
         let settings = config.replay().expect("the settings are those of a rule with a replay");
-        let experience = ReplayedExperience::new(settings, (config, policy), problem, seed);
+        let experience = ReplayedExperience::new(settings, config, problem, seed);
         Ok(Self { agents, experience })
     }
 

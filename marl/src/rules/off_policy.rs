@@ -6,7 +6,7 @@
 pub(crate) mod replay;
 
 use policy::randomness::{Draw, Purpose, RunSeed, generator};
-use policy::{ActorPolicy, PolicyConfig, PolicySnapshot};
+use policy::{ActorPolicy, PolicySnapshot};
 
 use crate::config::{ReplaySettings, TrainingConfig};
 use crate::data::batch::{Batch, Problem, check_rewards};
@@ -21,7 +21,6 @@ pub(crate) struct ReplayedExperience {
     settings: ReplaySettings,
     horizon: NStepHorizon,
     problem: Problem,
-    chunk_steps: usize,
     seed: RunSeed,
     replay: Replay,
     /// Sum over the optimiser steps since the last [`Self::add`] of [`Sample::bonus`], `[N]`; empty without surprise.
@@ -32,7 +31,7 @@ impl ReplayedExperience {
     /// An empty replay of transitions of `problem`; `seed` is the key of its draws.
     pub(crate) fn new(
         settings: ReplaySettings,
-        (config, policy): (&TrainingConfig, &PolicyConfig),
+        config: &TrainingConfig,
         problem: &Problem,
         seed: RunSeed,
     ) -> Self {
@@ -40,7 +39,6 @@ impl ReplayedExperience {
             horizon: NStepHorizon { gamma: config.update.gamma, steps: settings.n_step },
             replay: Replay::new(problem, settings),
             problem: problem.clone(),
-            chunk_steps: policy.backpropagation_steps,
             settings,
             seed,
             bonus: Vec::new(),
@@ -64,7 +62,7 @@ impl ReplayedExperience {
         rewards: &Relabelled<'_>,
     ) -> Result<u64, MarlError> {
         let agents = self.problem.agents.len();
-        batch.check(&self.problem, self.chunk_steps, &vec![0; agents])?;
+        batch.check(&self.problem, 1, &vec![0; agents])?;
         check_rewards(&rewards.rewards, agents, batch.rows())?;
         let before = self.replay.rows_added();
         self.replay.add(batch)?;

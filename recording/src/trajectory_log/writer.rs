@@ -256,6 +256,8 @@ impl LogWriter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proto::EvaluationWork;
+
     use crate::trajectory_log::tests::{evaluate, start};
 
     #[test]

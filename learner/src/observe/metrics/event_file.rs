@@ -191,9 +191,9 @@ mod tests {
         let at = |secs| UNIX_EPOCH + Duration::from_secs(secs);
         let mut first = EventFile::make(folder.path(), &[], at(1000)).unwrap();
         first.add(&line(1)).unwrap();
-        assert_eq!(first.clock.secs, 1003.0);
+        assert_eq!(first.time_secs, 1003.0);
         let second = EventFile::make(folder.path(), &[line(1), line(2)], at(2000)).unwrap();
-        assert_eq!(second.clock.secs, 2000.0);
+        assert_eq!(second.time_secs, 2000.0);
         // In the same second, and by a clock that was set back.
         EventFile::make(folder.path(), &[line(1)], at(2000)).unwrap();
         EventFile::make(folder.path(), &[line(1)], at(3)).unwrap();
