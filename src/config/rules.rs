@@ -252,7 +252,6 @@ mod tests {
             &["cue-2x1", "influence.estimator=count"][..],
             &["influence.q_training=shared"],
             &["influence.posterior_sigma_floor=0.4"],
-            &["policy.sigma_scale=0.05", "policy.sigma_floor=0.01", "algorithm=happo"],
             &["algorithm=hasac", "update.max_gradient_norm=10", "critic.max_gradient_norm=10"],
             &["algorithm=hasac", "policy.noise=shared", "policy.noise_loading=0.7"],
             &["algorithm=maddpg", "surprise.alpha=0.01", "surprise.density=vae"],
