@@ -168,6 +168,20 @@ impl Blueprint {
         others.any(|other| self.meet(shape, other) && !self.are_of_one_robot(shape, other))
     }
 
+    /// Whether a shape that moves may touch anything.
+    pub(crate) fn has_contacts(&self) -> bool {
+        let meets = |shape: &ShapePlan, other: &ShapePlan| {
+            let can_touch = self.contacts.links_touch || !self.are_of_one_robot(shape, other);
+            can_touch && self.meet(shape, other)
+        };
+        let touches = |shape: &ShapePlan| {
+            let on_ground = |ground: &GroundPlan| self.contact(shape, ground).is_some();
+            self.grounds.iter().any(on_ground) || self.shapes().any(|other| meets(shape, other))
+        };
+        let mut moving = self.links.iter().filter(|link| !link.is_base());
+        !self.contacts.pairs.is_empty() || moving.any(|link| link.shapes.iter().any(touches))
+    }
+
     /// The link of the parent of a link's body; none on the world or the base. A body with several joints has links without
     /// a mass before its own.
     pub(crate) fn parent_of(&self, link: usize) -> Option<usize> {
