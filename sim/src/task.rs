@@ -6,6 +6,7 @@ mod body_terms;
 mod command;
 mod definition;
 mod disturbance;
+mod healthy;
 mod names;
 mod relations;
 mod rules;

@@ -244,3 +244,33 @@ fn a_body_is_not_measured_from_itself() {
         assert!(message.contains(part) && !message.contains('\n'), "{part}: {message}");
     }
 }
+
+#[test]
+fn a_bound_that_an_episode_cannot_end_by_is_refused() {
+    let with = |condition: &str| {
+        let state = "[state]\nlargest_velocity = 5\n";
+        team(&format!("{state}{VIEWS}[[healthy]]\n{condition}\n"), ObservationMode::FullId)
+    };
+    for (condition, part) in [
+        (
+            "feature = \"ball.y.velocity\"\nat_most = 8",
+            "healthy.ball.y.velocity.at_most = 8 has no effect, since the number is always in -5..=5, by state.largest_velocity;",
+        ),
+        (
+            "feature = \"ball/left.x.velocity\"\nabove = -6",
+            "healthy.ball/left.x.velocity.above = -6 has",
+        ),
+        ("feature = \"upright\"\nof = \"ball\"\nat_least = -1", "the number is always in -1..=1;"),
+        ("feature = \"ball/left.qw.position\"\nabove = -0.5", "the number is always in 0..=1;"),
+        ("coordinate = \"ball.qz\"\nbelow = 1.5", "healthy.ball.qz.below = 1.5 has no effect"),
+        ("feature = \"ball.qz.position\"\nbelow = 1.5", "the number is always in -1..=1;"),
+    ] {
+        let message = with(condition).err().expect(condition);
+        assert!(message.contains(part) && !message.contains('\n'), "{part}: {message}");
+    }
+    for condition in
+        ["feature = \"ball.y.velocity\"\nbelow = 5", "coordinate = \"ball.z\"\nbelow = 8"]
+    {
+        assert_eq!(with(condition).err(), None, "{condition}");
+    }
+}
