@@ -274,3 +274,46 @@ fn a_bound_that_an_episode_cannot_end_by_is_refused() {
         assert_eq!(with(condition).err(), None, "{condition}");
     }
 }
+
+#[test]
+fn what_is_constant_between_bodies_of_a_link_is_refused() {
+    let hand = "<body name=\"hand\" pos=\"0 0 0.1\"/>";
+    let model = MODEL.replace(
+        "<joint name=\"left_yaw\" axis=\"0 0 1\"/><geom/>",
+        &format!("<joint name=\"left_yaw\" axis=\"0 0 1\"/><geom/>{hand}"),
+    );
+    let message = |lines: &str| {
+        let mut config = config(&format!("{FILE}{lines}"), ObservationMode::FullId);
+        config.task = "team-2".to_owned();
+        config.definition.as_mut().unwrap().model = model.clone();
+        environments(&config, 1).err().map(|error| error.to_string()).unwrap_or_default()
+    };
+    let row = |lines: &str| format!("[[state.bodies]]\nof = \"hand\"\nfrom = \"left\"\n{lines}\n");
+    let term = |lines: &str| format!("[[reward]]\nweight = 1.0\n{lines}\n");
+    let distance = "term = \"distance\"\nof = \"hand\"\nto = \"left\"";
+    let one_link = "its bodies are parts of one link; name one of another link";
+    for (lines, part) in [
+        (term(distance), one_link),
+        (term(&distance.replace("distance", "approach")), one_link),
+        (term("term = \"spread\"\nbodies = [\"left\", \"hand\"]"), one_link),
+        (term(&format!("{distance}\nalong = [\"x\"]")), ""),
+        (term("term = \"spread\"\nbodies = [\"left\", \"hand\", \"right\"]"), ""),
+        (
+            row(""),
+            "(hand/left): `position` is constant, because `hand` and `left` are parts of one link; remove",
+        ),
+        (row("features = [\"angular_velocity\"]"), "`angular_velocity` is constant"),
+        (row("features = [\"velocity\"]"), ""),
+        (row("features = [\"position\"]\naxes = \"world\""), ""),
+        (
+            row("features = [\"velocity\"]").replace("left", "world").replace("hand", "goal"),
+            "are fixed to the world; remove",
+        ),
+    ] {
+        let message = message(&lines);
+        assert!(
+            message.contains(part) && message.is_empty() == part.is_empty(),
+            "{lines}: {message}"
+        );
+    }
+}

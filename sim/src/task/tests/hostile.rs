@@ -83,7 +83,7 @@ disturbances = "critic"
 
 [[state.bodies]]
 of = "torso"
-from = "shoulder_1"
+from = "thigh_1"
 features = ["position", "orientation"]
 along = ["x"]
 axes = "world"
