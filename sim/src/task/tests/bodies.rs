@@ -317,3 +317,28 @@ fn what_is_constant_between_bodies_of_a_link_is_refused() {
         );
     }
 }
+
+#[test]
+fn agents_observe_each_feature_once() {
+    let with = |global: &str, lines: &str| {
+        let file = FILE.replace("\"ball.z.position\"", &format!("\"{global}\""));
+        let mut config = config(&format!("{file}{lines}{VIEWS}"), ObservationMode::KNearest);
+        config.task = "team-2".to_owned();
+        config.definition.as_mut().unwrap().model = MODEL.to_owned();
+        environments(&config, 1).map_err(|error| error.to_string())
+    };
+    // The first cart observes its own speed, which is a global feature, as its joint's, and what it sees of the ball itself.
+    let world = with("ball/left.x.position", "").unwrap();
+    let features = &world.description().agents[0].observation;
+    for feature in features {
+        let same = features.iter().filter(|own| own.name == feature.name).count();
+        assert!(same == 1 || feature.name == "padding", "{}", feature.name);
+    }
+    let drawn = "[state]\ndisturbances = \"agents\"\n[disturbance]\naction_delay = [0, 1]\n";
+    for (global, lines) in [("goal/ball.x.position", ""), ("disturbance.action_delay", drawn)] {
+        let message = with(global, lines).err().expect(global);
+        let part =
+            format!("neighbourhood.globals: all agents observe `{global}` without it; remove");
+        assert!(message.contains(&part), "{message}");
+    }
+}
