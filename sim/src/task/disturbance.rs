@@ -82,7 +82,7 @@ impl DisturbanceRanges {
                 .collect::<Result<_, _>>()?,
             loaded,
             raised: raised(row, robot)?,
-            gravity: (robot.blueprint.gravity, push::horizontal(robot, robot.layout.root)),
+            gravity: (robot.blueprint.gravity, push::horizontal_of_all(robot)),
             motors: robot.actuators().map(|motor| motor.name.to_owned()).collect(),
             hinges: robot.hinges().map(|(name, _)| name.to_owned()).collect(),
             measured: (names, coordinates),

@@ -62,8 +62,8 @@ pub(super) struct PushRow {
     pub(super) duration_secs: f32,
     /// Mean time between pushes, s.
     pub(super) period_secs: f32,
-    /// World axes that span the directions, which are uniformly distributed. Default: x for a robot in a vertical plane, x
-    /// and y for others.
+    /// World axes that span the directions, which are uniformly distributed. Default: x or y for a robot in the vertical
+    /// plane of this axis, x and y for others.
     pub(super) axes: Option<Vec<WorldAxis>>,
 }
 

@@ -179,3 +179,50 @@ fn a_disturbance_of_what_the_model_has_not_is_refused() {
     let message = environments(&config, 1).err().unwrap().to_string();
     assert!(message.contains("and no hinge or slide of the model has any"), "{message}");
 }
+
+/// The example in the plane of y and z, next to these bodies.
+fn turned(bodies: &str, lines: &str) -> Box<dyn EnvironmentBatch> {
+    let state = "[state]\nhidden = [\"rootx\"]";
+    let file = changed(state, &format!("{state}\ndisturbances = \"critic\""));
+    let file = file.replacen("\"forward_speed\"", "\"forward_speed\"\ncoordinate = \"rootx\"", 1);
+    let mut config = config(&format!("{file}\n{lines}"), ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    let torso = "<body name=\"torso\" ";
+    assert!(model.contains(torso));
+    let quarter = format!("{bodies}{torso}euler=\"0 0 1.5707963\" ");
+    *model = model.replacen(torso, &quarter, 1);
+    environments(&config, 1).unwrap()
+}
+
+/// Whether any of 19 episodes disturbs the horizontal directions x and y by features of this name.
+fn directions(mut world: Box<dyn EnvironmentBatch>, name: &str) -> [bool; 2] {
+    let mut found = [false; 2];
+    for key in 1..20 {
+        start(&mut *world, key);
+        let state = world.state_of(0);
+        for (found, axis) in found.iter_mut().zip(["x", "y"]) {
+            let name = format!("disturbance.{name}.{axis}");
+            let mut features = world.description().state.iter();
+            let place = features.position(|feature| feature.name == name).expect(&name);
+            *found |= state[place].abs() > 1e-3;
+        }
+    }
+    found
+}
+
+#[test]
+fn pushes_and_slopes_have_the_directions_in_which_planar_robots_can_move() {
+    let slope = "[disturbance]\nslope = [0.2, 0.2]";
+    let push = "[[disturbance.push]]\nlink = \"torso\"\nforce = [9, 9]\nduration_secs = 1\nperiod_secs = 1";
+    let other = "<body name=\"other\" pos=\"9 0 1\"><joint name=\"x\" type=\"slide\" axis=\"1 0 0\" limited=\"false\" \
+        damping=\"0\" armature=\"0\"/><joint name=\"z\" type=\"slide\" axis=\"0 0 1\" limited=\"false\" damping=\"0\" armature=\"0\"/>\
+        <joint name=\"pitch\" limited=\"false\" damping=\"0\" armature=\"0\"/><geom type=\"sphere\" size=\"0.1\"/></body>";
+    assert_eq!(directions(turned("", push), "push.torso"), [false, true]);
+    assert_eq!(directions(turned("", slope), "gravity"), [false, true]);
+    assert_eq!(directions(turned(other, slope), "gravity"), [true, true]);
+    let flat = hopper(&changed(
+        "hidden = [\"rootx\"]",
+        &format!("hidden = [\"rootx\"]\ndisturbances = \"critic\"\n{slope}"),
+    ));
+    assert_eq!(directions(flat, "gravity"), [true, false]);
+}
