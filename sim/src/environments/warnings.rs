@@ -91,9 +91,10 @@ fn overlaps(world: &World) -> Vec<String> {
 
 /// Says what starts inside the terrain where that is highest, deeper than at the heights of the model.
 fn terrain(world: &World, robot: &Arc<Robot>, rules: &Rules) -> Option<String> {
+    let conditions = rules.disturbance.highest_terrain()?;
     let (coordinates, velocities) = rules.start_pose(robot);
     let mut raised = World::new(Arc::clone(robot));
-    raised.set_conditions(rules.disturbance.highest_terrain()?);
+    raised.set_conditions(conditions);
     raised.rebuild(&coordinates, &velocities);
     let before = world.overlaps();
     let inside = raised.overlaps().into_iter().filter_map(|((shape, other), depth)| {
