@@ -161,16 +161,18 @@ pub(crate) fn near(
     let is_near = |tree: &usize| own_trees.contains(tree) || !driven.contains(tree);
     if config.globals == RootView::Shown {
         let globals = neighbourhood.globals.iter();
-        let is_near = |name: &&String| robot.tree_of_feature(name).as_ref().is_none_or(is_near);
-        names.extend(globals.filter(is_near).cloned());
+        let is_near = |name: &str| robot.tree_of_feature(name).as_ref().is_none_or(is_near);
+        let is_new = |name: &&String| is_near(name) && !names.contains(name);
+        let new: Vec<String> = globals.filter(is_new).cloned().collect();
+        names.extend(new);
     }
     let place = |name: &String| state.features.iter().position(|feature| feature.name == *name);
     // Hidden coordinates are no features; other names were checked.
-    let places = names.iter().filter_map(place);
-    let related = state.related.iter();
+    let places: Vec<usize> = names.iter().filter_map(place).collect();
+    let related = state.related.iter().filter(|(place, _)| !places.contains(place));
     let related = related.filter(|(_, observer)| observer.as_ref().is_none_or(is_near));
-    let related = related.map(|(place, _)| *place);
-    places.chain(related).chain(state.shared.iter().copied()).collect()
+    let related: Vec<usize> = related.map(|(place, _)| *place).collect();
+    [places, related, state.shared.clone()].concat()
 }
 
 /// Pads all lists to the length of the longest.

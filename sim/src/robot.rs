@@ -78,7 +78,7 @@ pub(crate) struct Physics {
     pub(crate) contacts: SoftnessOverride,
     /// Distance at which contacts become active, m.
     pub(crate) margin: Option<f32>,
-    /// Whether links touch each other and the base.
+    /// Whether links of a robot touch each other and its base.
     pub(crate) self_contacts: Option<bool>,
     /// Selects [`Law::Engine`], with this compliance.
     pub(crate) contact_compliance: Option<f32>,

@@ -6,6 +6,7 @@ mod body_terms;
 mod command;
 mod definition;
 mod disturbance;
+mod healthy;
 mod names;
 mod relations;
 mod rules;
@@ -306,6 +307,7 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
 fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
     let mut features = rules.measured_features(robot);
     features.extend(rules.command.features());
+    let first_disturbance = features.len();
     if rules.audience == Audience::Agents {
         features.extend(rules.disturbance_features());
     }
@@ -331,8 +333,14 @@ fn check_neighbourhood(robot: &Robot, rules: &Rules) -> Result<(), SimError> {
             }
         }
     }
+    let related = rules.related(robot);
     for name in globals {
-        state.index("neighbourhood.globals", name)?;
+        let index = state.index("neighbourhood.globals", name)?;
+        // A command may be a global, too: the observations of `quadruped` have it twice.
+        if index >= first_disturbance || related.contains(&(index, None)) {
+            let why = format!("all agents observe `{name}` without it; remove it");
+            return Err(refused(format!("neighbourhood.globals: {why}")));
+        }
     }
     let bodies = Names::new("body", robot.bodies());
     for body in touching.iter().flat_map(|row| &row.bodies) {

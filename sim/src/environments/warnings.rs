@@ -22,6 +22,7 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules) -> Vec<String> {
     let mut warnings = robot.hard_to_explore();
     warnings.extend(floor(robot));
     warnings.extend(overlaps(&world));
+    warnings.extend(terrain(&world, robot, rules));
     warnings.extend(limits(robot, &coordinates));
     warnings.extend(unnamed(robot, rules));
     warnings.extend(unhealthy(robot, rules));
@@ -86,6 +87,27 @@ fn overlaps(world: &World) -> Vec<String> {
         )
     });
     floor.into_iter().chain(inside).collect()
+}
+
+/// Says what starts inside the terrain where that is highest, deeper than at the heights of the model.
+fn terrain(world: &World, robot: &Arc<Robot>, rules: &Rules) -> Option<String> {
+    let conditions = rules.disturbance.highest_terrain()?;
+    let (coordinates, velocities) = rules.start_pose(robot);
+    let mut raised = World::new(Arc::clone(robot));
+    raised.set_conditions(conditions);
+    raised.rebuild(&coordinates, &velocities);
+    let before = world.overlaps();
+    let inside = raised.overlaps().into_iter().filter_map(|((shape, other), depth)| {
+        let known = before.get(&(shape, other)).copied().unwrap_or(0.0);
+        let other = other.filter(|_| depth - known.max(0.0) > SMALLEST_DEPTH)?;
+        Some(format!("`{shape}` by {depth:.3} m in `{other}`"))
+    });
+    listed(&inside.collect::<Vec<_>>()).map(|listed| {
+        format!(
+            "at the largest heights of [[disturbance.terrain]], the start is inside other shapes, {listed}: lower `height`, \
+             or raise the start by [start] `coordinates` or a `keyframe`"
+        )
+    })
 }
 
 /// The first of some names; `None` without any.

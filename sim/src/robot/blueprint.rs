@@ -44,6 +44,8 @@ pub(crate) struct Blueprint {
     pub(crate) keyframes: Vec<Keyframe>,
     /// Names of the model's bodies in its order, the world first. Bodies without a joint are part of a link.
     pub(crate) bodies: Vec<String>,
+    /// For each body, the child of the world that it is or is in; the world's is the world.
+    pub(crate) tops: Vec<usize>,
     /// The link of each body, none for the world, and the body's frame in it.
     pub(crate) homes: Vec<(Option<usize>, Pose)>,
     /// What MuJoCo simulates and this simulator leaves out, one sentence each.
@@ -336,6 +338,22 @@ impl Blueprint {
     pub(crate) fn tree_of(&self, link: usize) -> usize {
         let parent = self.links[link].parent.filter(|parent| !self.links[*parent].is_base());
         parent.map_or(link, |parent| self.tree_of(parent))
+    }
+
+    /// Whether two shapes of links are parts of one robot: of links of a tree, or of a link and the fixed bodies that are in the
+    /// same child of the world, its base.
+    pub(crate) fn are_of_one_robot(&self, one: &ShapePlan, other: &ShapePlan) -> bool {
+        let links = [one, other].map(|shape| self.link_of_shape(shape));
+        if links.iter().any(|link| self.links[*link].is_base()) {
+            self.tops[one.body] == self.tops[other.body]
+        } else {
+            self.tree_of(links[0]) == self.tree_of(links[1])
+        }
+    }
+
+    /// The link of a shape.
+    pub(crate) fn link_of_shape(&self, shape: &ShapePlan) -> usize {
+        self.homes[shape.body].0.expect("the body of a link's shape is a part of the link")
     }
 
     /// Whether more than one tree moves.

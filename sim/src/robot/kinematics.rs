@@ -96,6 +96,17 @@ impl Place {
         self.joints.iter().all(|joint| matches!(joint.motion, JointMotion::Fixed))
     }
 
+    /// Whether the same joints move both places: parts of one link, or both fixed to the world.
+    pub(crate) fn moves_with(&self, other: &Self) -> bool {
+        self.moving().eq(other.moving())
+    }
+
+    /// First coordinate and first velocity of each joint that moves the place.
+    fn moving(&self) -> impl Iterator<Item = [usize; 2]> {
+        let moving = |joint: &&PlacedJoint| !matches!(joint.motion, JointMotion::Fixed);
+        self.joints.iter().filter(moving).map(|joint| joint.first)
+    }
+
     /// A point that is fixed to the world, m.
     pub(crate) fn point(at: [f32; 3]) -> Self {
         let position = DVec3::from_array(at.map(f64::from));

@@ -74,6 +74,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         equalities,
         connections,
         keyframes,
+        tops: bodies::tops(&bodies),
         bodies: bodies.into_iter().map(|body| body.name).collect(),
         left_out,
     })

@@ -146,11 +146,27 @@ impl BodyTerm {
                 Self::Distance { between: between()?, along, sigma }
             }
         };
-        if term.places().iter().all(Place::is_fixed) {
-            let why = "is constant, because all its bodies are fixed to the world";
-            return Err(refused(format!("{place} {why}; name one that moves")));
+        match term.reason_for_constancy() {
+            None => Ok(term),
+            Some(reason) => Err(refused(format!("{place} is constant, because {reason}"))),
         }
-        Ok(term)
+    }
+
+    /// Why its value is constant, and what to do; `None` if it can change.
+    fn reason_for_constancy(&self) -> Option<&'static str> {
+        if self.places().iter().all(Place::is_fixed) {
+            return Some("all its bodies are fixed to the world; name one that moves");
+        }
+        let is_rigid = match self {
+            // A turn changes a distance along some axes only.
+            Self::Distance { between: [of, to], along, .. }
+            | Self::Approach { between: [of, to], along } => {
+                of.moves_with(to) && along.len() == WorldAxis::ALL.len()
+            }
+            Self::Spread { bodies } => bodies.iter().all(|body| body.moves_with(&bodies[0])),
+            Self::Progress { .. } | Self::Height { .. } => false,
+        };
+        is_rigid.then_some("its bodies are parts of one link; name one of another link")
     }
 
     /// What it measures.

@@ -17,7 +17,7 @@ use super::names::Names;
 use super::relations::WorldAxis;
 use crate::error::SimError;
 use crate::noise::{self, DrawPurpose, generator};
-use crate::robot::{GroundForm, GroundPlan, JointPlan, LinkPlan, Robot};
+use crate::robot::{GroundForm, GroundPlan, JointPlan, LinkPlan, Robot, ShapePlan};
 use crate::state::EpisodeDraws;
 use crate::world::EpisodeConditions;
 use push::Push;
@@ -82,7 +82,7 @@ impl DisturbanceRanges {
                 .collect::<Result<_, _>>()?,
             loaded,
             raised: raised(row, robot)?,
-            gravity: (robot.blueprint.gravity, push::horizontal(robot, robot.layout.root)),
+            gravity: (robot.blueprint.gravity, push::horizontal_of_all(robot)),
             motors: robot.actuators().map(|motor| motor.name.to_owned()).collect(),
             hinges: robot.hinges().map(|(name, _)| name.to_owned()).collect(),
             measured: (names, coordinates),
@@ -167,6 +167,15 @@ impl DisturbanceRanges {
         let mut rise = |height: [f32; 2]| noise::within(&mut rng, height);
         let raised = self.raised.iter();
         raised.map(|(ground, row)| (*ground, rise(self.row.terrain[*row].height))).collect()
+    }
+
+    /// Conditions of an undisturbed episode with the terrain at its largest heights; `None` without terrain.
+    pub(crate) fn highest_terrain(&self) -> Option<EpisodeConditions> {
+        let highest = |(ground, row): &(usize, usize)| (*ground, self.row.terrain[*row].height[1]);
+        let rises: Vec<(usize, f32)> = self.raised.iter().map(highest).collect();
+        let undisturbed = EpisodeDraws { key: [0; 32], is_disturbed: false };
+        let is_raised = !rises.is_empty();
+        is_raised.then(|| EpisodeConditions { rises, ..self.draw(&undisturbed).conditions })
     }
 
     /// Sets the forces of the step that starts now, the step `step` of the episode.
@@ -259,13 +268,18 @@ impl DisturbanceRanges {
 
 /// Refuses what cannot disturb this robot.
 fn check_effects(row: &DisturbanceRow, robot: &Robot) -> Result<(), SimError> {
-    let damped = robot.layout.hinges.iter().any(|hinge| hinge.plan.damping != 0.0);
+    let mut hinges = robot.layout.hinges.iter().map(|hinge| &hinge.plan);
+    let damped = hinges.any(|hinge| hinge.damping != 0.0 && !hinge.turns_ball());
     let gravity = robot.blueprint.gravity;
     let falls = gravity.z < 0.0 && gravity.x == 0.0 && gravity.y == 0.0;
     for (refuses, why) in [
         (
             row.joint_damping.is_some() && !damped,
-            "joint_damping is a factor of damping, and no joint of the model has any",
+            "joint_damping is a factor of damping, and no hinge or slide of the model has any",
+        ),
+        (
+            row.friction.is_some() && !robot.blueprint.has_contacts(),
+            "friction is a factor of the friction of contacts, and nothing in the model can touch",
         ),
         (
             row.slope.is_some() && !falls,
@@ -296,7 +310,16 @@ fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, Si
     let raised: Vec<&String> = row.terrain.iter().map(|terrain| &terrain.body).collect();
     check_rows("disturbance.terrain", raised.len())?;
     check_repeats("disturbance.terrain.body", &raised)?;
+    let bases = blueprint.links.iter().filter(|link| link.is_base());
+    let in_base: Vec<&ShapePlan> = bases.flat_map(|link| &link.shapes).collect();
     for (index, terrain) in row.terrain.iter().enumerate() {
+        if in_base.iter().any(|shape| blueprint.bodies[shape.body] == terrain.body) {
+            return Err(refused(format!(
+                "disturbance.terrain.body: the shapes of `{}` are a robot's base, since the model has no free joint; move \
+                 them to the `worldbody`, and name \"world\"",
+                terrain.body
+            )));
+        }
         names.index("disturbance.terrain.body", &terrain.body)?;
         let own = grounds().filter(|(_, ground)| blueprint.bodies[ground.body] == terrain.body);
         found.extend(own.filter(|(_, ground)| solid(ground)).map(|(ground, _)| (ground, index)));

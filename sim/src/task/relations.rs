@@ -148,13 +148,25 @@ impl Observed {
         }
         let names = Names::new("body", robot.bodies());
         let observer = names.index("state.bodies.from", from)?;
+        let places = [names.index("state.bodies.of", &row.of)?, observer];
+        let [of, seen_from] = places.map(|body| robot.place(body));
+        let axes = row.axes.unwrap_or(Axes::Body);
+        if let Some(own) = features.iter().find(|own| own.is_constant([&of, &seen_from], axes)) {
+            let why = if of.is_fixed() { "fixed to the world" } else { "parts of one link" };
+            return Err(refused(format!(
+                "state.bodies ({name}): `{}` is constant, because `{}` and `{from}` are {why}; remove it from `features`, or \
+                 name another body",
+                own.word(),
+                row.of
+            )));
+        }
         Ok(Self {
             name,
-            of: robot.place(names.index("state.bodies.of", &row.of)?),
-            from: robot.place(observer),
+            of,
+            from: seen_from,
             features,
             along: along.into_iter().map(|axis| axis as usize).collect(),
-            axes: row.axes.unwrap_or(Axes::Body),
+            axes,
             observer: robot
                 .tree_of_body(observer)
                 .filter(|tree| robot.driven_trees().contains(tree)),
@@ -175,6 +187,26 @@ impl Relation {
             Self::Orientation => &["qw", "qx", "qy", "qz"],
             Self::AngularVelocity => &["wx", "wy", "wz"],
         }
+    }
+
+    /// Its name in task files.
+    fn word(self) -> &'static str {
+        match self {
+            Self::Position => "position",
+            Self::Velocity => "velocity",
+            Self::Orientation => "orientation",
+            Self::AngularVelocity => "angular_velocity",
+        }
+    }
+
+    /// Whether it never changes between these bodies in these axes. The velocities of two bodies of a link differ if it turns.
+    fn is_constant(self, [of, from]: [&Place; 2], axes: Axes) -> bool {
+        let is_rigid = match self {
+            Self::Position => matches!(axes, Axes::Body),
+            Self::Velocity => false,
+            Self::Orientation | Self::AngularVelocity => true,
+        };
+        of.moves_with(from) && (is_rigid || of.is_fixed())
     }
 
     /// Index in [`KINDS`].

@@ -6,29 +6,18 @@ use rapier3d::math::Vector;
 use super::Motion;
 use super::command::CommandRanges;
 use super::definition::{
-    Audience, HealthyRow, LARGEST_NUMBER, TaskFile, TermName, TermRow, check_repeats, refused,
-    within,
+    Audience, HealthyRow, TaskFile, TermName, TermRow, check_repeats, refused, within,
 };
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
+use super::healthy::{Watched, checked_healthy};
 use super::names::Names;
 use super::relations::{RelationFeature, Relations};
 use super::start::Start;
-use super::terms::{self, Tilt, Transition, WeightedSum};
+use super::terms::{Transition, WeightedSum};
 use crate::error::{SimError, short};
 use crate::robot::{Orientation, Robot};
 use crate::state::EpisodeDraws;
 use crate::world::World;
-
-/// A number that ends an episode.
-#[derive(Clone, Debug)]
-enum Watched {
-    /// Index of a coordinate.
-    Coordinate(usize),
-    /// Index of a feature of the global state.
-    Feature(usize),
-    /// Cosine of a tilt.
-    Upright(Tilt),
-}
 
 /// Rules of an episode, with all names resolved to indices.
 #[derive(Clone, Debug)]
@@ -70,7 +59,10 @@ impl Rules {
         let disturbance = DisturbanceRanges::new(&file.disturbance, robot, &measured)?;
         let features: Vec<String> = measured.into_iter().map(|feature| feature.name).collect();
         let positions = features.iter().filter(|name| name.ends_with(".position")).count();
-        let healthy = file.healthy.iter().map(|row| checked_healthy(row, robot, &features));
+        let largest = file.state.largest_velocity;
+        largest.map_or(Ok(()), |most| within("state.largest_velocity", most, 1e-3, 1e6))?;
+        let healthy = file.healthy.iter();
+        let healthy = healthy.map(|row| checked_healthy(row, robot, &features, largest));
         let rules = Self {
             start: Start::new(&file.start, names, robot)?,
             reward: WeightedSum::new("reward", &file.reward, robot, &command)?,
@@ -80,7 +72,7 @@ impl Rules {
             shown,
             relations,
             measured: [positions, features.len() - positions],
-            largest_velocity: file.state.largest_velocity,
+            largest_velocity: largest,
             velocities_in_body: file.state.velocities_in_body(&robot.layout.orientations)?,
             contact_forces: file.state.contact_forces,
             command,
@@ -95,9 +87,6 @@ impl Rules {
         if rules.audience != Audience::Nobody && rules.described == 0 {
             let why = "has no effect, because [disturbance] states nothing that can be observed";
             return Err(refused(format!("state.disturbances {why}; remove it")));
-        }
-        if let Some(largest) = rules.largest_velocity {
-            within("state.largest_velocity", largest, 1e-3, 1e6)?;
         }
         Ok(rules)
     }
@@ -215,48 +204,6 @@ impl Rules {
     }
 }
 
-impl Watched {
-    /// Its value in a motion with the global state `state`.
-    fn value(&self, motion: &Motion<'_>, state: &[f32]) -> f32 {
-        match self {
-            Self::Coordinate(index) => motion.position(*index),
-            Self::Feature(index) => state[*index],
-            Self::Upright(tilt) => terms::upright(motion, tilt),
-        }
-    }
-}
-
-impl HealthyRow {
-    /// The coordinate or feature.
-    fn name(&self) -> &str {
-        self.coordinate.as_deref().or(self.feature.as_deref()).unwrap_or_default()
-    }
-
-    /// Its bounds with their keys.
-    fn stated(&self) -> [(&'static str, Option<f32>); 4] {
-        [
-            ("above", self.above),
-            ("at_least", self.at_least),
-            ("below", self.below),
-            ("at_most", self.at_most),
-        ]
-    }
-
-    /// The stated bounds, as in the file.
-    fn bounds(&self) -> String {
-        let stated = self.stated().into_iter();
-        let stated = stated.filter_map(|(key, bound)| Some(format!("{key} = {}", short(bound?))));
-        stated.collect::<Vec<_>>().join(", ")
-    }
-
-    fn holds(&self, value: f32) -> bool {
-        self.above.is_none_or(|bound| bound < value)
-            && self.at_least.is_none_or(|bound| bound <= value)
-            && self.below.is_none_or(|bound| value < bound)
-            && self.at_most.is_none_or(|bound| value <= bound)
-    }
-}
-
 /// Positions of joints and bodies, then velocities of joints and bodies.
 fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> Vec<FeatureSpec> {
     let [positions, velocities] = relations.features();
@@ -300,68 +247,6 @@ fn of_root(file: &TaskFile) -> Vec<String> {
         |row: &&HealthyRow| row.feature.as_deref() == Some("upright") && row.of.is_none();
     let healthy = file.healthy.iter().filter(is_upright).map(|_| "`healthy.upright`".to_owned());
     [of("reward", &file.reward), of("cost", &file.cost), healthy.collect()].concat()
-}
-
-/// Refuses a condition without bounds, or one that no value meets.
-fn checked_healthy(
-    row: &HealthyRow,
-    robot: &Robot,
-    features: &[String],
-) -> Result<(Watched, HealthyRow), SimError> {
-    if row.of.is_some() && row.feature.as_deref() != Some("upright") {
-        return Err(refused("healthy has the key `of` only with `feature = \"upright\"`"));
-    }
-    let (watched, name) = match (&row.coordinate, &row.feature) {
-        (Some(name), None) => {
-            let index = Names::coordinates(robot).index("healthy.coordinate", name)?;
-            (Watched::Coordinate(index), name)
-        }
-        (None, Some(name)) if name == "upright" => {
-            let tilt = Tilt::new("healthy.upright", row.of.as_deref(), robot)?;
-            (Watched::Upright(tilt), name)
-        }
-        (None, Some(name)) => {
-            check_measured(name, features, robot)?;
-            let names = Names::new("feature in its global state", features);
-            (Watched::Feature(names.index("healthy.feature", name)?), name)
-        }
-        _ => return Err(refused("healthy needs either a `coordinate` or a `feature`")),
-    };
-    let place = format!("healthy.{name}");
-    let bounds = row.stated();
-    if bounds.iter().all(|(_, bound)| bound.is_none()) {
-        let why = "needs a bound: above, at_least, below or at_most";
-        return Err(refused(format!("{place} {why}")));
-    }
-    for (key, bound) in bounds {
-        let bound = bound.unwrap_or(0.0);
-        within(&format!("{place}.{key}"), bound, -LARGEST_NUMBER, LARGEST_NUMBER)?;
-    }
-    let low = row.above.into_iter().chain(row.at_least).fold(f32::NEG_INFINITY, f32::max);
-    let high = row.below.into_iter().chain(row.at_most).fold(f32::INFINITY, f32::min);
-    if low < high {
-        Ok((watched, row.clone()))
-    } else {
-        Err(refused(format!(
-            "{place}: the lower bound {low} (above, at_least) is not below {high} (below, at_most)"
-        )))
-    }
-}
-
-/// Refuses a feature that exists but cannot be in `healthy`, with the reason.
-fn check_measured(name: &str, measured: &[String], robot: &Robot) -> Result<(), SimError> {
-    let coordinate = name.strip_suffix(".position").unwrap_or_default();
-    let is_measured = measured.iter().any(|own| own == name);
-    if !is_measured && robot.coordinate_names().iter().any(|own| own == coordinate) {
-        let instead = format!("write `coordinate = \"{coordinate}\"`");
-        return Err(refused(format!("healthy.feature: state.hidden hides `{name}`; {instead}")));
-    }
-    let is_drawn = ["command.", "disturbance."].iter().any(|start| name.starts_with(start));
-    if !is_measured && is_drawn {
-        let why = "is drawn, not measured; name a position or a velocity";
-        return Err(refused(format!("healthy.feature: `{name}` {why}")));
-    }
-    Ok(())
 }
 
 /// Indices of the coordinates that are not hidden.

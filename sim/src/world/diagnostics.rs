@@ -52,18 +52,12 @@ impl World {
         heights.fold(f32::INFINITY, f32::min)
     }
 
-    /// What links are in that can touch them and that no tree of their own moves, each with the largest depth, m: the name of
-    /// a link's shape, and that of the other shape; `None` for a plane.
+    /// What links are in that can touch them and is no part of their robot, each with the largest depth, m: the name of a
+    /// link's shape, and that of the other shape; `None` for a plane.
     pub(crate) fn overlaps(&self) -> BTreeMap<(&str, Option<&str>), f32> {
         let blueprint = &self.robot.blueprint;
-        let links = blueprint.links.iter().enumerate();
-        let shapes: Vec<_> = links
-            .flat_map(|(link, plan)| plan.shapes.iter().map(move |shape| (link, shape)))
-            .collect();
-        let name =
-            |index: usize| shape_name(blueprint, &shapes[index].1.name, shapes[index].1.body);
-        let tree = |index: usize| blueprint.tree_of(shapes[index].0);
-        let is_base = |index: usize| blueprint.links[shapes[index].0].is_base();
+        let shapes: Vec<_> = blueprint.shapes().collect();
+        let name = |index: usize| shape_name(blueprint, &shapes[index].name, shapes[index].body);
         let mut constraints = Constraints::new(&self.robot, 0.0);
         let mut overlaps = BTreeMap::new();
         for (pair, depth) in constraints.depths(&self.robot, self.multibody(), &self.physics) {
@@ -71,7 +65,7 @@ impl World {
             let other = match first.checked_sub(shapes.len()).map(|at| &blueprint.grounds[at]) {
                 Some(plane) if matches!(plane.form, GroundForm::Plane) => None,
                 Some(ground) => Some(shape_name(blueprint, &ground.name, ground.body)),
-                None if tree(first) == tree(second) || pair.into_iter().any(is_base) => continue,
+                None if blueprint.are_of_one_robot(shapes[first], shapes[second]) => continue,
                 None => Some(name(first)),
             };
             let deepest = overlaps.entry((name(second), other)).or_insert(depth);

@@ -116,7 +116,7 @@ pub(crate) struct ContactRules {
     pub(crate) pairs: Vec<PairPlan>,
     /// Bodies that do not touch, the one with the smaller index first.
     pub(crate) excluded: Vec<[usize; 2]>,
-    /// Whether links of a tree touch each other and the base. Links of different trees always do.
+    /// Whether links of a robot touch each other and its base. What else can touch, such as different robots, always does.
     pub(crate) links_touch: bool,
 }
 
@@ -137,27 +137,49 @@ pub(crate) enum Cone {
 }
 
 impl Blueprint {
-    /// Notes contacts between links as left out if links do not touch each other and the base.
+    /// Notes contacts between links of a robot and with its base as left out if they do not touch.
     pub(crate) fn note_link_contacts(&mut self) {
-        let shapes: Vec<(usize, &ShapePlan)> = (0..self.links.len())
-            .flat_map(|link| self.links[link].shapes.iter().map(move |shape| (link, shape)))
-            .collect();
-        let meet = |(a, one): &(usize, &ShapePlan), (b, other): &(usize, &ShapePlan)| {
-            let surfaces = one.surface.zip(other.surface);
-            let bodies = [one.body.min(other.body), one.body.max(other.body)];
-            a != b
-                && surfaces.is_some_and(|(one, other)| one.meets(&other))
-                && self.tree_of(*a) == self.tree_of(*b)
-                && self.parent_of(*a) != Some(*b)
-                && self.parent_of(*b) != Some(*a)
-                && !self.contacts.excluded.contains(&bodies)
+        let drops = |shape: &&ShapePlan| {
+            let mut others = self.shapes();
+            others.any(|other| self.meet(shape, other) && self.are_of_one_robot(shape, other))
         };
-        let meets = |shape: &&(usize, &ShapePlan)| shapes.iter().any(|other| meet(shape, other));
-        let count = if self.contacts.links_touch { 0 } else { shapes.iter().filter(meets).count() };
+        let count = if self.contacts.links_touch { 0 } else { self.shapes().filter(drops).count() };
         if count > 0 {
             let what = format!("links do not touch each other: contacts between {count} shapes");
             self.left_out.push(what);
         }
+    }
+
+    /// Whether two shapes of links can touch if all links of a robot touch, by MuJoCo's rules.
+    fn meet(&self, one: &ShapePlan, other: &ShapePlan) -> bool {
+        let surfaces = one.surface.zip(other.surface);
+        let [a, b] = [one, other].map(|shape| self.link_of_shape(shape));
+        let bodies = [one.body.min(other.body), one.body.max(other.body)];
+        a != b
+            && surfaces.is_some_and(|(one, other)| one.meets(&other))
+            && self.parent_of(a) != Some(b)
+            && self.parent_of(b) != Some(a)
+            && !self.contacts.excluded.contains(&bodies)
+    }
+
+    /// Whether a shape can touch a shape of a link of another robot, or of its base.
+    fn meets_another(&self, shape: &ShapePlan) -> bool {
+        let mut others = self.shapes();
+        others.any(|other| self.meet(shape, other) && !self.are_of_one_robot(shape, other))
+    }
+
+    /// Whether a shape that moves may touch anything.
+    pub(crate) fn has_contacts(&self) -> bool {
+        let meets = |shape: &ShapePlan, other: &ShapePlan| {
+            let can_touch = self.contacts.links_touch || !self.are_of_one_robot(shape, other);
+            can_touch && self.meet(shape, other)
+        };
+        let touches = |shape: &ShapePlan| {
+            let on_ground = |ground: &GroundPlan| self.contact(shape, ground).is_some();
+            self.grounds.iter().any(on_ground) || self.shapes().any(|other| meets(shape, other))
+        };
+        let mut moving = self.links.iter().filter(|link| !link.is_base());
+        !self.contacts.pairs.is_empty() || moving.any(|link| link.shapes.iter().any(touches))
     }
 
     /// The link of the parent of a link's body; none on the world or the base. A body with several joints has links without
@@ -178,7 +200,8 @@ impl Blueprint {
         }
         let is_plain = self.contacts.pairs.is_empty() && !self.contacts.links_touch;
         let grounds = self.grounds.as_slice();
-        if !is_plain || !matches!(grounds, [] | [GroundPlan { form: GroundForm::Plane, .. }]) {
+        let is_plane = matches!(grounds, [] | [GroundPlan { form: GroundForm::Plane, .. }]);
+        if !is_plain || !is_plane || self.shapes().any(|shape| self.meets_another(shape)) {
             return reason("needs a world with one plane and nothing else to touch");
         }
         let contacts = self.shapes().filter_map(|shape| self.floor_contact(shape));
@@ -243,6 +266,7 @@ impl Blueprint {
         pairs.iter().any(|pair| pair.shapes.contains(&index))
             || is_on_ground
             || (links_touch && surface.collides())
+            || self.meets_another(shape)
     }
 
     /// Contact of a shape with the first fixed shape, the only one in the engine's law.

@@ -290,6 +290,15 @@ pub(super) fn has_base(bodies: &[Body]) -> bool {
     !bodies.iter().any(|body| body.joints.iter().any(joints::is_free))
 }
 
+/// For each body, the child of the world that it is or is in; the world's is the world.
+pub(super) fn tops(bodies: &[Body]) -> Vec<usize> {
+    let mut tops = Vec::new();
+    for (index, body) in bodies.iter().enumerate() {
+        tops.push(if body.parent == 0 { index } else { tops[body.parent] });
+    }
+    tops
+}
+
 /// Removes planes, height fields, the world's shapes and, without a base, those of bodies that are fixed to the world from the bodies.
 /// Returns those that something can touch.
 pub(super) fn take_grounds(

@@ -1,7 +1,7 @@
 //! Pushes: forces on a link at drawn times.
 
 use rand::RngCore;
-use rapier3d::math::{Rotation, Vector};
+use rapier3d::math::Vector;
 
 use super::super::definition::{check_repeats, refused};
 use super::super::relations::WorldAxis;
@@ -12,6 +12,9 @@ use crate::robot::{JointPlan, Robot};
 
 /// Bits of a push's window in the index of its draw: above the longest episode, 1,000,000 steps.
 const WINDOW_BITS: u32 = 20;
+
+/// Cosine from which on an axis of the world is the normal of a plane, with its rounding.
+const MOST_ALIGNED: f32 = 1.0 - 1e-6;
 
 /// A push of a task.
 #[derive(Clone, Debug)]
@@ -38,9 +41,10 @@ impl Push {
             )));
         }
         check_repeats(&format!("{place}.axes"), &axes)?;
-        if moves_along_x_alone(robot, link) && axes.contains(&WorldAxis::Y) {
-            let why = "has y, along which a planar robot cannot move; remove it";
-            return Err(refused(format!("{place}.axes {why}")));
+        if let Some(across) = across(robot, link).filter(|across| axes.contains(across)) {
+            let axis = if across == WorldAxis::X { "x" } else { "y" };
+            let why = "along which a planar robot cannot move; remove it";
+            return Err(refused(format!("{place}.axes has {axis}, {why}")));
         }
         let push = Self {
             link,
@@ -77,19 +81,30 @@ impl Push {
     }
 }
 
-/// Whether the tree of a link has a planar root in the plane of the world's x and z.
-fn moves_along_x_alone(robot: &Robot, link: usize) -> bool {
+/// The horizontal axis of the world that is the normal of the plane of a link's planar root, if any.
+fn across(robot: &Robot, link: usize) -> Option<WorldAxis> {
     let root = &robot.blueprint.links[robot.blueprint.tree_of(link)];
-    matches!(root.joint, JointPlan::Planar(_)) && root.rest.rotation == Rotation::IDENTITY
+    let normal = root.rest.rotation * Vector::Y;
+    let is_planar = matches!(root.joint, JointPlan::Planar(_));
+    let is_along = |axis: &WorldAxis| is_planar && normal[*axis as usize].abs() > MOST_ALIGNED;
+    [WorldAxis::X, WorldAxis::Y].into_iter().find(is_along)
 }
 
 /// Horizontal axes of the world along which the tree of a link can move.
 pub(super) fn horizontal(robot: &Robot, link: usize) -> Vec<WorldAxis> {
-    if moves_along_x_alone(robot, link) {
-        vec![WorldAxis::X]
-    } else {
-        vec![WorldAxis::X, WorldAxis::Y]
+    match across(robot, link) {
+        Some(WorldAxis::X) => vec![WorldAxis::Y],
+        Some(_) => vec![WorldAxis::X],
+        None => vec![WorldAxis::X, WorldAxis::Y],
     }
+}
+
+/// Horizontal axes of the world along which any tree can move.
+pub(super) fn horizontal_of_all(robot: &Robot) -> Vec<WorldAxis> {
+    let links = robot.blueprint.links.iter().enumerate();
+    let moving = links.filter(|(_, plan)| !plan.is_base());
+    let axes: Vec<WorldAxis> = moving.flat_map(|(link, _)| horizontal(robot, link)).collect();
+    [WorldAxis::X, WorldAxis::Y].into_iter().filter(|axis| axes.contains(axis)).collect()
 }
 
 /// Draws a unit vector uniformly from the directions that the axes span.

@@ -1,7 +1,8 @@
 //! `[disturbance]` of a task file.
 
 use rand::RngCore;
-use serde::Deserialize;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 
 use super::super::definition::{refused, within};
 use super::super::relations::WorldAxis;
@@ -41,10 +42,10 @@ pub(crate) struct DisturbanceRow {
     #[serde(deserialize_with = "arrays::given")]
     pub(super) observation_delay: Option<[u32; 2]>,
     /// Error of each measurement, drawn in every step.
-    #[serde(deserialize_with = "arrays::table")]
+    #[serde(deserialize_with = "stated")]
     pub(super) sensor_noise: SensorRow,
     /// Error of each measurement, drawn per episode.
-    #[serde(deserialize_with = "arrays::table")]
+    #[serde(deserialize_with = "stated")]
     pub(super) sensor_bias: SensorRow,
     /// Whether the evaluations of a training are disturbed, too.
     pub(crate) in_evaluations: bool,
@@ -61,8 +62,8 @@ pub(super) struct PushRow {
     pub(super) duration_secs: f32,
     /// Mean time between pushes, s.
     pub(super) period_secs: f32,
-    /// World axes that span the directions, which are uniformly distributed. Default: x for a robot in a vertical plane, x
-    /// and y for others.
+    /// World axes that span the directions, which are uniformly distributed. Default: x or y for a robot in the vertical
+    /// plane of this axis, x and y for others.
     pub(super) axes: Option<Vec<WorldAxis>>,
 }
 
@@ -214,6 +215,16 @@ impl SensorRow {
         rows.map(|(of, noise)| noise.map(|noise| format!("{name} of {of}: {noise}, {when}")))
             .into_iter()
             .flatten()
+    }
+}
+
+/// Reads a table that states an error.
+fn stated<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SensorRow, D::Error> {
+    let row: SensorRow = arrays::table(deserializer)?;
+    if row.is_stated() {
+        Ok(row)
+    } else {
+        Err(D::Error::custom("it needs `positions` or `velocities`; add one, or remove the key"))
     }
 }
 

@@ -244,3 +244,101 @@ fn a_body_is_not_measured_from_itself() {
         assert!(message.contains(part) && !message.contains('\n'), "{part}: {message}");
     }
 }
+
+#[test]
+fn a_bound_that_an_episode_cannot_end_by_is_refused() {
+    let with = |condition: &str| {
+        let state = "[state]\nlargest_velocity = 5\n";
+        team(&format!("{state}{VIEWS}[[healthy]]\n{condition}\n"), ObservationMode::FullId)
+    };
+    for (condition, part) in [
+        (
+            "feature = \"ball.y.velocity\"\nat_most = 8",
+            "healthy.ball.y.velocity.at_most = 8 has no effect, since the number is always in -5..=5, by state.largest_velocity;",
+        ),
+        (
+            "feature = \"ball/left.x.velocity\"\nabove = -6",
+            "healthy.ball/left.x.velocity.above = -6 has",
+        ),
+        ("feature = \"upright\"\nof = \"ball\"\nat_least = -1", "the number is always in -1..=1;"),
+        ("feature = \"ball/left.qw.position\"\nabove = -0.5", "the number is always in 0..=1;"),
+        ("coordinate = \"ball.qz\"\nbelow = 1.5", "healthy.ball.qz.below = 1.5 has no effect"),
+        ("feature = \"ball.qz.position\"\nbelow = 1.5", "the number is always in -1..=1;"),
+    ] {
+        let message = with(condition).err().expect(condition);
+        assert!(message.contains(part) && !message.contains('\n'), "{part}: {message}");
+    }
+    for condition in
+        ["feature = \"ball.y.velocity\"\nbelow = 5", "coordinate = \"ball.z\"\nbelow = 8"]
+    {
+        assert_eq!(with(condition).err(), None, "{condition}");
+    }
+}
+
+#[test]
+fn what_is_constant_between_bodies_of_a_link_is_refused() {
+    let hand = "<body name=\"hand\" pos=\"0 0 0.1\"/>";
+    let model = MODEL.replace(
+        "<joint name=\"left_yaw\" axis=\"0 0 1\"/><geom/>",
+        &format!("<joint name=\"left_yaw\" axis=\"0 0 1\"/><geom/>{hand}"),
+    );
+    let message = |lines: &str| {
+        let mut config = config(&format!("{FILE}{lines}"), ObservationMode::FullId);
+        config.task = "team-2".to_owned();
+        config.definition.as_mut().unwrap().model = model.clone();
+        environments(&config, 1).err().map(|error| error.to_string()).unwrap_or_default()
+    };
+    let row = |lines: &str| format!("[[state.bodies]]\nof = \"hand\"\nfrom = \"left\"\n{lines}\n");
+    let term = |lines: &str| format!("[[reward]]\nweight = 1.0\n{lines}\n");
+    let distance = "term = \"distance\"\nof = \"hand\"\nto = \"left\"";
+    let one_link = "its bodies are parts of one link; name one of another link";
+    for (lines, part) in [
+        (term(distance), one_link),
+        (term(&distance.replace("distance", "approach")), one_link),
+        (term("term = \"spread\"\nbodies = [\"left\", \"hand\"]"), one_link),
+        (term(&format!("{distance}\nalong = [\"x\"]")), ""),
+        (term("term = \"spread\"\nbodies = [\"left\", \"hand\", \"right\"]"), ""),
+        (
+            row(""),
+            "(hand/left): `position` is constant, because `hand` and `left` are parts of one link; remove",
+        ),
+        (row("features = [\"angular_velocity\"]"), "`angular_velocity` is constant"),
+        (row("features = [\"velocity\"]"), ""),
+        (row("features = [\"position\"]\naxes = \"world\""), ""),
+        (
+            row("features = [\"velocity\"]").replace("left", "world").replace("hand", "goal"),
+            "are fixed to the world; remove",
+        ),
+    ] {
+        let message = message(&lines);
+        assert!(
+            message.contains(part) && message.is_empty() == part.is_empty(),
+            "{lines}: {message}"
+        );
+    }
+}
+
+#[test]
+fn agents_observe_each_feature_once() {
+    let with = |global: &str, lines: &str| {
+        let file = FILE.replace("\"ball.z.position\"", &format!("\"{global}\""));
+        let mut config = config(&format!("{file}{lines}{VIEWS}"), ObservationMode::KNearest);
+        config.task = "team-2".to_owned();
+        config.definition.as_mut().unwrap().model = MODEL.to_owned();
+        environments(&config, 1).map_err(|error| error.to_string())
+    };
+    // The first cart observes its own speed, which is a global feature, as its joint's, and what it sees of the ball itself.
+    let world = with("ball/left.x.position", "").unwrap();
+    let features = &world.description().agents[0].observation;
+    for feature in features {
+        let same = features.iter().filter(|own| own.name == feature.name).count();
+        assert!(same == 1 || feature.name == "padding", "{}", feature.name);
+    }
+    let drawn = "[state]\ndisturbances = \"agents\"\n[disturbance]\naction_delay = [0, 1]\n";
+    for (global, lines) in [("goal/ball.x.position", ""), ("disturbance.action_delay", drawn)] {
+        let message = with(global, lines).err().expect(global);
+        let part =
+            format!("neighbourhood.globals: all agents observe `{global}` without it; remove");
+        assert!(message.contains(&part), "{message}");
+    }
+}

@@ -352,6 +352,10 @@ fn invalid_disturbances_are_refused_with_their_key() {
                 .to_owned(),
             "line 45: unknown field `velocity`",
         ),
+        (
+            "[disturbance]\nsensor_bias = {}".to_owned(),
+            ", `sensor_bias`: it needs `positions` or `velocities`; add one, or remove the key",
+        ),
         (format!("{payload}{payload}"), "disturbance.payload: the link `torso` is named twice"),
     ] {
         let message = refusal(&format!("{HOPPER}\n{lines}"));

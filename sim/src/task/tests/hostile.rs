@@ -83,7 +83,7 @@ disturbances = "critic"
 
 [[state.bodies]]
 of = "torso"
-from = "shoulder_1"
+from = "thigh_1"
 features = ["position", "orientation"]
 along = ["x"]
 axes = "world"
@@ -359,7 +359,7 @@ fn keys_without_an_effect_are_refused_with_the_reason() {
             "joint_damping",
             "damping=\"1\"",
             "",
-            "joint_damping is a factor of damping, and no joint",
+            "joint_damping is a factor of damping, and no hinge or slide",
         ),
         (
             "slope",

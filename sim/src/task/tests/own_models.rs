@@ -106,3 +106,23 @@ fn only_a_body_that_moves_has_a_term_and_only_what_agents_may_see_is_a_neighbour
     let message = refusal(&format!("{file}\n[disturbance]\nfriction = [0.5, 1]\n"));
     assert!(message.contains("neighbourhood.globals: the robot has no feature"), "{message}");
 }
+
+#[test]
+fn a_start_in_a_fixed_body_is_a_warning_unless_that_is_the_robots_base() {
+    let model = CARRIAGE.replace("SPINNER", "").replace("KEYS", "").replace("0 0 5", "0 0 0.1");
+    let apart = model
+        .replace("<body name=\"carriage\"", "</body><body name=\"carriage\"")
+        .replace("</body></body>", "</body>");
+    for (model, expected) in [
+        (&model, ""),
+        (&apart, "what starts inside other shapes is pushed out, `carriage` by 0.100 m in `base`"),
+    ] {
+        let warnings = world(FILE, model).warnings();
+        let inside = warnings.iter().find(|warning| warning.contains("inside other shapes"));
+        let inside = inside.map_or("", String::as_str);
+        assert!(
+            inside.starts_with(expected) && inside.is_empty() == expected.is_empty(),
+            "{inside}"
+        );
+    }
+}

@@ -34,6 +34,8 @@ pub(super) struct Touching {
     parents: Vec<Option<usize>>,
     /// For each link, the first link of its tree.
     trees: Vec<usize>,
+    /// For each body, the child of the world that it is or is in.
+    tops: Vec<usize>,
     /// Factor of the model's friction.
     pub(super) friction: f64,
 }
@@ -149,6 +151,7 @@ impl Touching {
             normals: Vec::new(),
             rules: blueprint.contacts.clone(),
             parents: (0..blueprint.links.len()).map(|link| blueprint.parent_of(link)).collect(),
+            tops: blueprint.tops.clone(),
             trees: (0..blueprint.links.len()).map(|link| blueprint.tree_of(link)).collect(),
             friction: 1.0,
         }
@@ -181,7 +184,7 @@ impl Touching {
                 true
             }
             (TouchKind::Link(_), TouchKind::Base) | (TouchKind::Base, TouchKind::Link(_)) => {
-                self.rules.links_touch
+                self.rules.links_touch || self.tops[first.body] != self.tops[second.body]
             }
             _ => false,
         };

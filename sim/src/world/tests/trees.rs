@@ -107,6 +107,49 @@ fn links_of_different_trees_touch_without_self_contacts() {
     assert!((height - 1.06).abs() < 0.002, "the ball is at {height}");
 }
 
+/// A ball on a vertical slide, 0.1 m above a box that is fixed to the world: in another body, or in the base of the ball.
+/// Without a free joint, the fixed bodies are a link.
+fn ball_over_box([after_box, at_end]: [&str; 2]) -> String {
+    let bodies = format!(
+        "<body name=\"step\"><geom type=\"box\" size=\"0.5 0.5 0.2\" pos=\"0 0 0.2\"/>{after_box}\
+         <body name=\"ball\" pos=\"0 0 0.6\"><joint name=\"lift\" type=\"slide\" axis=\"0 0 1\"/>\
+         <geom size=\"0.1\"/></body>{at_end}"
+    );
+    document(&bodies, "<motor joint=\"lift\" ctrlrange=\"-1 1\"/>")
+}
+
+const APART: [&str; 2] = ["</body>", ""];
+const IN_BASE: [&str; 2] = ["", "</body>"];
+
+#[test]
+fn only_a_robots_own_base_is_not_touched_without_self_contacts() {
+    let dropped = "links do not touch each other: contacts between 2 shapes";
+    // The ball stops on the box, or falls through it to the floor.
+    for (place, expected, left_out) in [(APART, -0.1, ""), (IN_BASE, -0.5, dropped)] {
+        let physics = Physics { self_contacts: Some(false), ..Physics::default() };
+        let mjcf = ball_over_box(place);
+        let robot = robot_with(&mjcf, physics, &|path| Err(path.to_owned())).unwrap();
+        assert_eq!(robot.left_out().join("; "), left_out);
+        let mut world = World::new(Arc::new(robot));
+        for _ in 0..1000 {
+            assert!(world.step(&[0.0]));
+        }
+        let fallen = motion(&world).0[0];
+        assert!((fallen - expected).abs() < 0.01, "{fallen} m against {expected} m");
+    }
+}
+
+#[test]
+fn the_engines_solver_is_refused_if_a_fixed_body_other_than_the_base_can_be_touched() {
+    let built = |place| {
+        let physics = Physics { contact_compliance: Some(0.1), ..Physics::default() };
+        robot_with(&ball_over_box(place), physics, &|path| Err(path.to_owned())).map(drop)
+    };
+    let refused = built(APART).unwrap_err();
+    assert!(refused.contains("a world with one plane and nothing else to touch"), "{refused}");
+    assert_eq!(built(IN_BASE), Ok(()));
+}
+
 #[test]
 fn the_engines_solver_has_no_part_in_contacts_of_constraints() {
     let mut world = world_of(&document(PLATE, TILT));
