@@ -57,8 +57,10 @@ fn floor(robot: &Robot) -> Option<String> {
     let falls = |joint: &JointPlan| {
         matches!(joint, JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Planar(_))
     };
-    let is_bottomless =
-        blueprint.grounds.is_empty() && blueprint.links.iter().any(|link| falls(&link.joint));
+    // Fixed bodies of a model without a free joint.
+    let has_base = blueprint.links.iter().any(|link| link.is_base() && !link.shapes.is_empty());
+    let has_floor = has_base || !blueprint.grounds.is_empty();
+    let is_bottomless = !has_floor && blueprint.links.iter().any(|link| falls(&link.joint));
     is_bottomless.then(|| {
         let why = "the robot has no floor that it can touch, so it falls: add <geom type=\"plane\" size=\"0 0 1\"/> \
             to the `worldbody`, or set `contype` and `conaffinity` of the floor and of shapes";

@@ -144,6 +144,8 @@ fn a_start_that_cannot_be_meant_is_named() {
     let plane = "<geom name=\"floor\" type=\"plane\" size=\"40 40 40\" friction=\"0.9 0.1 0.1\" conaffinity=\"1\"/>";
     let bottomless = warnings([plane, ""], "");
     assert!(bottomless[0].contains("has no floor that it can touch"), "{bottomless:?}");
+    let slab = "<body pos=\"0 0 -1\"><geom type=\"box\" size=\"40 40 1\"/></body>";
+    assert_eq!(warnings([plane, slab], ""), [""; 0]);
     let ghost = warnings(["conaffinity=\"1\"", "conaffinity=\"2\""], "");
     assert!(ghost[0].contains("has no floor that it can touch"), "{ghost:?}");
 }
