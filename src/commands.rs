@@ -126,7 +126,8 @@ Later layers override earlier ones:
   configs/base.toml             every default
   configs/tasks/TASK.toml       the first argument, or task=TASK; with environment_service.url only if given;
                                 with a task file as TASK, the file's [settings]
-  configs/presets/PRESET.toml   preset=tuned (default), harl or paper: its sections, then task.TASK
+  configs/presets/PRESET.toml   preset=tuned (default), local, harl or paper: its sections, then
+                                task.TASK
   configs/algorithms/NAME.toml  algorithm=NAME
   configs/presets/PRESET.toml   algorithm.NAME.TASK, if the preset has this table
   --config FILE                 in the order given

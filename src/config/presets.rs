@@ -58,8 +58,8 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "hasac-sm",
 );
 
-/// Published hyper-parameters, which override the settings of a task.
-pub(crate) const PRESETS: &[Preset] = presets!("presets": "tuned", "harl", "paper");
+/// Hyper-parameters of other work and for other observations, which override the settings of a task.
+pub(crate) const PRESETS: &[Preset] = presets!("presets": "tuned", "local", "harl", "paper");
 
 /// The file with that name.
 pub(crate) fn find(presets: &[Preset], name: &str) -> Option<Preset> {

@@ -114,7 +114,7 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
         (&["docs"], "command line: `docs` is a folder; name a task file in it"),
         (
             &["preset=harrl"],
-            "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, harl, paper",
+            "command line: unknown preset `harrl`; did you mean `harl`?; known: tuned, local, harl, paper",
         ),
         (
             &["halfcheetah-6x1", "verbose"],
