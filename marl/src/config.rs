@@ -5,8 +5,8 @@ mod influence;
 mod maddpg;
 mod surprise;
 
-use policy::{InputNorm, PolicyConfig};
 use policy::setting::{SettingError, between, learning_rate, not_negative, positive, within};
+use policy::{InputNorm, PolicyConfig};
 use serde::{Deserialize, Serialize};
 
 pub use self::hasac::HasacConfig;

@@ -47,7 +47,7 @@ pub(super) enum Property {
 pub(super) const ON_POLICY: Condition = Condition::Is("update.rule", &["happo", "mappo"]);
 /// Rules that update policies from a replay.
 pub(super) const OFF_POLICY: Condition = Condition::Is("update.rule", OFF_POLICY_RULES);
-/// Their names.
+/// Names of the rules with a replay.
 pub(super) const OFF_POLICY_RULES: &[&str] = &["maddpg", "hasac"];
 /// Multi-agent deterministic policy gradients.
 pub(super) const MADDPG: Condition = Condition::Is("update.rule", &["maddpg"]);

@@ -3,7 +3,7 @@
 
 use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Continuous, Discrete};
-use marl::config::Estimator;
+use marl::config::QTraining;
 use policy::setting::{SettingError, multiple, within};
 
 use super::conditions::{
@@ -121,11 +121,6 @@ const TABLE: &[Rule] = &[
         &[Not("environment_service.url", "")],
         "environment_service.url; it must be none: only the simulator's episodes are logged",
     ),
-    rule(
-        Is("log.episodes", &["evaluation"]),
-        &[Zero("evaluation.every_steps")],
-        "evaluation.every_steps = 0; it must be none, all or a number, for there are no evaluations",
-    ),
 ];
 
 impl Rule {
@@ -187,9 +182,10 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
         let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
         return Err(SettingError::new("update.rule", "hasac", others));
     }
-    if influence.estimator == Estimator::VariationalKl && influence.lambda > 0.0 {
+    if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
         let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);
-        let range = format!("below policy.sigma_scale = {scale}, the policies' largest sigma");
+        let range =
+            format!("below policy.sigma_scale = {scale} with influence.q_training = shared");
         within("influence.posterior_sigma_floor", floor, ..f64::from(scale), &range)?;
     }
     Ok(())
@@ -229,7 +225,6 @@ mod tests {
             "influence.lambda = 0.01",
         ),
         (&["environment_service.url=http://localhost:7", "log.episodes=all"], "log.episodes = all"),
-        (&["log.episodes=evaluation", "evaluation.every_steps=0"], "log.episodes = evaluation"),
     ];
 
     #[test]
@@ -251,7 +246,7 @@ mod tests {
         for settings in [
             &["cue-2x1", "influence.estimator=count"][..],
             &["influence.q_training=shared"],
-            &["influence.posterior_sigma_floor=0.4"],
+            &["influence.posterior_sigma_floor=0.5"],
             &["algorithm=hasac", "update.max_gradient_norm=10", "critic.max_gradient_norm=10"],
             &["algorithm=hasac", "policy.noise=shared", "policy.noise_loading=0.7"],
             &["algorithm=maddpg", "surprise.alpha=0.01", "surprise.density=vae"],
@@ -298,9 +293,9 @@ mod tests {
                 "command line: update.rule = happo is out of range: hasac with the settings of hasac; use another algorithm",
             ),
             (
-                &["influence.posterior_sigma_floor=0.5"],
-                "command line: influence.posterior_sigma_floor = 0.5 is out of range: below policy.sigma_scale = 0.5, the \
-                 policies' largest sigma",
+                &["influence.q_training=shared", "influence.posterior_sigma_floor=0.5"],
+                "command line: influence.posterior_sigma_floor = 0.5 is out of range: below policy.sigma_scale = 0.5 with \
+                 influence.q_training = shared",
             ),
             (
                 &["cue-2x1", "algorithm=hasac"],

@@ -19,7 +19,10 @@ fn invalid_arguments_give_one_line_and_status_two() {
             &["train", "run.seed=-1"],
             "`run.seed`: invalid value: integer `-1`, expected a whole number that is not negative",
         ),
-        (&["train", "evaluation.episodes=5e9"], "expected a whole number that is not negative, up to 4294967295"),
+        (
+            &["train", "evaluation.episodes=5e9"],
+            "expected a whole number that is not negative, up to 4294967295",
+        ),
         (&["train", "--seed", "3"], "a setting is written run.seed=VALUE"),
         (&["train", "--config", "no/such/file.toml"], "no/such/file.toml"),
         (&["learner", "--listen", "0.0.0.0:0"], "--insecure-allow-remote"),

@@ -144,7 +144,7 @@ impl Environments {
         self.begin_episode(environment);
     }
 
-    /// Resets the figures of the environment's current episode.
+    /// Counts the environment's current episode as finished and resets the figures for the next one.
     fn begin_episode(&mut self, environment: usize) {
         self.episode_return[environment] = 0.0;
         self.episode_length[environment] = 0;

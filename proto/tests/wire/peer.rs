@@ -56,7 +56,7 @@ pub(crate) fn start_request(choice: ActionChoice) -> wire::ActRequest {
     wire::ActRequest { content: Some(wire::act_request::Content::Start(start)) }
 }
 
-/// A later message of it.
+/// A later message of a stream of steps.
 pub(crate) fn step_request(step: &ActStep) -> wire::ActRequest {
     let observation = |(agent, observation): &(usize, Vec<f32>)| wire::AgentObservation {
         agent: *agent as u32,

@@ -115,7 +115,11 @@ fn a_wrong_file_is_refused_in_one_line_that_names_the_key() {
         ("threshold = 0.8", "threshold = 1.5", "threshold must be above 0 and at most 1, is 1.5"),
         ("baseline = \"happo\"", "baseline = \"mappo\"", "baseline = \"mappo\" must be the name"),
         ("seeds = [0, 1]", "seeds = []", "seeds must not be empty"),
-        ("seeds = [0, 1]", "seeds = [-1]", "integer `-1`, expected a whole number that is not negative"),
+        (
+            "seeds = [0, 1]",
+            "seeds = [-1]",
+            "integer `-1`, expected a whole number that is not negative",
+        ),
         ("seeds = [0, 1]", "seeds = [1, 1]", "seeds must differ"),
         ("name = \"near\"", "name = \"happo\"", "variants must differ"),
         ("name = \"near\"", "name = \"a/b\"", "name = \"a/b\" must be letters"),
