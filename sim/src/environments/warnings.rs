@@ -58,7 +58,8 @@ fn floor(robot: &Robot) -> Option<String> {
         matches!(joint, JointPlan::Free(_) | JointPlan::Floating(_) | JointPlan::Planar(_))
     };
     // Fixed bodies of a model without a free joint.
-    let has_base = blueprint.links.iter().any(|link| link.is_base() && !link.shapes.is_empty());
+    let mut bases = blueprint.links.iter().filter(|link| link.is_base());
+    let has_base = bases.any(|link| link.shapes.iter().any(|shape| shape.surface.is_some()));
     let has_floor = has_base || !blueprint.grounds.is_empty();
     let is_bottomless = !has_floor && blueprint.links.iter().any(|link| falls(&link.joint));
     is_bottomless.then(|| {

@@ -37,7 +37,7 @@ pub(super) enum Volume {
     Exact,
     /// The convex hull.
     Convex,
-    /// None: the surface, whose density is in kg/m^2.
+    /// The surface, with a density in kg/m^2.
     Shell,
 }
 

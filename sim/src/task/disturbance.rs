@@ -311,7 +311,8 @@ fn raised(row: &DisturbanceRow, robot: &Robot) -> Result<Vec<(usize, usize)>, Si
     check_rows("disturbance.terrain", raised.len())?;
     check_repeats("disturbance.terrain.body", &raised)?;
     let bases = blueprint.links.iter().filter(|link| link.is_base());
-    let in_base: Vec<&ShapePlan> = bases.flat_map(|link| &link.shapes).collect();
+    let shapes = bases.flat_map(|link| &link.shapes);
+    let in_base: Vec<&ShapePlan> = shapes.filter(|shape| shape.surface.is_some()).collect();
     for (index, terrain) in row.terrain.iter().enumerate() {
         if in_base.iter().any(|shape| blueprint.bodies[shape.body] == terrain.body) {
             return Err(refused(format!(

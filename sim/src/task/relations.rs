@@ -154,7 +154,7 @@ impl Observed {
         if let Some(own) = features.iter().find(|own| own.is_constant([&of, &seen_from], axes)) {
             let why = if of.is_fixed() { "fixed to the world" } else { "parts of one link" };
             return Err(refused(format!(
-                "state.bodies ({name}): `{}` is constant, because `{}` and `{from}` are {why}; remove it from `features`, or \
+                "state.bodies ({name}): `{}` is constant, because `{}` and `{from}` are {why}; state `features` without it, or \
                  name another body",
                 own.word(),
                 row.of

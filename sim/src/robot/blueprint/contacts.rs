@@ -116,7 +116,7 @@ pub(crate) struct ContactRules {
     pub(crate) pairs: Vec<PairPlan>,
     /// Bodies that do not touch, the one with the smaller index first.
     pub(crate) excluded: Vec<[usize; 2]>,
-    /// Whether links of a robot touch each other and its base. What else can touch, such as different robots, always does.
+    /// Whether links of a robot touch each other and its base. Other shapes that can touch, such as those of different robots, always do.
     pub(crate) links_touch: bool,
 }
 
@@ -162,21 +162,28 @@ impl Blueprint {
             && !self.contacts.excluded.contains(&bodies)
     }
 
-    /// Whether a shape can touch a shape of a link of another robot, or of its base.
+    /// Whether a shape of a link can touch the base of another robot, or a shape of a base a link of another robot. Callers
+    /// treat the links of several trees.
     fn meets_another(&self, shape: &ShapePlan) -> bool {
-        let mut others = self.shapes();
-        others.any(|other| self.meet(shape, other) && !self.are_of_one_robot(shape, other))
+        let is_base = self.links[self.link_of_shape(shape)].is_base();
+        let others = self.links.iter().filter(|link| link.is_base() != is_base);
+        let mut others = others.flat_map(|link| &link.shapes);
+        others
+            .any(|other| self.tops[shape.body] != self.tops[other.body] && self.meet(shape, other))
     }
 
     /// Whether a shape that moves may touch anything.
     pub(crate) fn has_contacts(&self) -> bool {
+        let links_touch = self.contacts.links_touch || self.has_several_trees();
         let meets = |shape: &ShapePlan, other: &ShapePlan| {
-            let can_touch = self.contacts.links_touch || !self.are_of_one_robot(shape, other);
-            can_touch && self.meet(shape, other)
+            self.meet(shape, other)
+                && (self.contacts.links_touch || !self.are_of_one_robot(shape, other))
         };
         let touches = |shape: &ShapePlan| {
             let on_ground = |ground: &GroundPlan| self.contact(shape, ground).is_some();
-            self.grounds.iter().any(on_ground) || self.shapes().any(|other| meets(shape, other))
+            self.grounds.iter().any(on_ground)
+                || self.meets_another(shape)
+                || (links_touch && self.shapes().any(|other| meets(shape, other)))
         };
         let mut moving = self.links.iter().filter(|link| !link.is_base());
         !self.contacts.pairs.is_empty() || moving.any(|link| link.shapes.iter().any(touches))

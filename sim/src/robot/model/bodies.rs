@@ -50,7 +50,7 @@ impl Body {
         self.inertial.as_ref().is_some_and(|(stated, _)| stated.text("fullinertia").is_none())
     }
 
-    /// Moves the body's frame to `inside`, a frame in it. What the body consists of stays where it is.
+    /// Moves the body's frame to `inside`, a frame in it. Its shapes, sites and stated inertia stay in place.
     pub(super) fn move_frame(&mut self, inside: &Frame) {
         self.frame = self.frame.then(inside);
         self.geoms.iter_mut().for_each(|geom| geom.seen_from(inside));

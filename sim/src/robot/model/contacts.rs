@@ -107,7 +107,7 @@ fn contact(element: &Element, context: &Context) -> Result<ContactPlan, String> 
     }
     let solimp = element.padded("solimp", solimp)?;
     let of_friction = element.padded("solreffriction", [0.0; 2])?;
-    // As in MuJoCo, two zeros are none.
+    // As in MuJoCo, two zeros are the default: the softness of the contact.
     let has_own = of_friction != [0.0; 2];
     if has_own {
         Softness::check("solreffriction", of_friction)

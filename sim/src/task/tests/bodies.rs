@@ -300,14 +300,14 @@ fn what_is_constant_between_bodies_of_a_link_is_refused() {
         (term("term = \"spread\"\nbodies = [\"left\", \"hand\", \"right\"]"), ""),
         (
             row(""),
-            "(hand/left): `position` is constant, because `hand` and `left` are parts of one link; remove",
+            "(hand/left): `position` is constant, because `hand` and `left` are parts of one link; state",
         ),
         (row("features = [\"angular_velocity\"]"), "`angular_velocity` is constant"),
         (row("features = [\"velocity\"]"), ""),
         (row("features = [\"position\"]\naxes = \"world\""), ""),
         (
             row("features = [\"velocity\"]").replace("left", "world").replace("hand", "goal"),
-            "are fixed to the world; remove",
+            "are fixed to the world; state",
         ),
     ] {
         let message = message(&lines);

@@ -146,7 +146,7 @@ fn refusal_of([from, to]: [&str; 2], lines: &str) -> String {
 }
 
 #[test]
-fn a_disturbance_of_what_the_model_has_not_is_refused() {
+fn a_disturbance_of_a_missing_part_is_refused() {
     let floor = "<geom name=\"floor\"";
     let step = format!(
         "<body name=\"step\"><geom type=\"box\" size=\"1 1 0.1\" pos=\"3 0 0\"/></body>{floor}"

@@ -181,7 +181,14 @@ impl Touching {
                     && !is_child(other, one)
             }
             (TouchKind::Link(_), TouchKind::Ground) | (TouchKind::Ground, TouchKind::Link(_)) => {
-                true
+                let is_land = |shape: &TouchShape| {
+                    matches!(shape.form, TouchForm::Plane | TouchForm::Field(_))
+                };
+                // Other fixed shapes may be those of the robot's own base.
+                self.rules.links_touch
+                    || is_land(first)
+                    || is_land(second)
+                    || self.tops[first.body] != self.tops[second.body]
             }
             (TouchKind::Link(_), TouchKind::Base) | (TouchKind::Base, TouchKind::Link(_)) => {
                 self.rules.links_touch || self.tops[first.body] != self.tops[second.body]

@@ -170,7 +170,8 @@ impl Motion {
 
     /// Force of the gravity compensation of links on a velocity, N or N m.
     pub(super) fn gravity_compensation(&self, dof: usize, gravity: DVec3) -> f64 {
-        let moved = self.links.iter().filter(|link| link.dofs.contains(&dof));
+        let moved =
+            self.links.iter().filter(|link| link.weight != link.mass && link.dofs.contains(&dof));
         let wrenches = moved.map(|link| {
             let force = (link.weight - link.mass) * gravity;
             [force, (link.mass_centre - link.origin).cross(force)]

@@ -124,10 +124,17 @@ const IN_BASE: [&str; 2] = ["", "</body>"];
 #[test]
 fn only_a_robots_own_base_is_not_touched_without_self_contacts() {
     let dropped = "links do not touch each other: contacts between 2 shapes";
+    // With a free joint, fixed bodies are no links.
+    let free = "<body pos=\"9 0 9\"><freejoint/><geom size=\"0.1\"/></body></worldbody>";
     // The ball stops on the box, or falls through it to the floor.
-    for (place, expected, left_out) in [(APART, -0.1, ""), (IN_BASE, -0.5, dropped)] {
+    for (place, others, expected, left_out) in [
+        (APART, "</worldbody>", -0.1, ""),
+        (IN_BASE, "</worldbody>", -0.5, dropped),
+        (APART, free, -0.1, ""),
+        (IN_BASE, free, -0.5, ""),
+    ] {
         let physics = Physics { self_contacts: Some(false), ..Physics::default() };
-        let mjcf = ball_over_box(place);
+        let mjcf = ball_over_box(place).replace("</worldbody>", others);
         let robot = robot_with(&mjcf, physics, &|path| Err(path.to_owned())).unwrap();
         assert_eq!(robot.left_out().join("; "), left_out);
         let mut world = World::new(Arc::new(robot));

@@ -45,7 +45,7 @@ pub(super) fn shell(shape: &Shape) -> (f64, [f64; 3]) {
     }
 }
 
-/// What closes a tube.
+/// Form of the ends of a tube.
 #[derive(Clone, Copy)]
 enum End {
     Hemisphere,
