@@ -11,7 +11,7 @@
 use proto::{FeatureRole, FeatureSpec};
 
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
-use crate::robot::Robot;
+use crate::robot::{Actuator, Robot};
 
 /// Below this standard deviation, a vector is only centred.
 const SMALLEST_DEVIATION: f64 = 1e-8;
@@ -63,11 +63,11 @@ fn contact_name(body: &str, part: &str) -> String {
 }
 
 impl Observation {
-    /// `agents` contains the joints of each agent.
+    /// `agents` contains the motors of each agent.
     pub(crate) fn new(
         config: &ObservationConfig,
         robot: &Robot,
-        agents: &[Vec<&str>],
+        agents: &[Vec<usize>],
         state: &GlobalState,
     ) -> Self {
         let view = match config.mode {
@@ -136,11 +136,13 @@ impl Observation {
 pub(crate) fn near(
     config: &ObservationConfig,
     robot: &Robot,
-    own: &[&str],
+    motors: &[usize],
     state: &GlobalState,
 ) -> Vec<usize> {
     let neighbourhood = &robot.neighbourhood;
-    let levels = neighbourhood.levels(own, config.nearest);
+    let actuators: Vec<Actuator<'_>> = robot.actuators().collect();
+    let own = motors.iter().flat_map(|&motor| &actuators[motor].moved).copied();
+    let levels = neighbourhood.levels(&own.collect::<Vec<&str>>(), config.nearest);
     let mut names: Vec<String> = Vec::new();
     let feature = |kind: &'static str| move |name: &String| format!("{name}.{kind}");
     for joint in &levels[0] {
@@ -157,7 +159,7 @@ pub(crate) fn near(
     for joint in levels[1..].iter().flatten() {
         names.extend(robot.numbers_of(joint)[0].iter().map(feature("position")));
     }
-    let (own_trees, driven) = (robot.trees_of(|joint| own.contains(&joint)), robot.driven_trees());
+    let (own_trees, driven) = (robot.trees_of(motors.iter().copied()), robot.driven_trees());
     let is_near = |tree: &usize| own_trees.contains(tree) || !driven.contains(tree);
     if config.globals == RootView::Shown {
         let globals = neighbourhood.globals.iter();

@@ -40,9 +40,9 @@ pub(crate) use blueprint::{
     LinkPlan, MotorPlan, PairPlan, ShapePlan,
 };
 pub(crate) use convex::Convex;
-pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan};
+pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan, Thrust};
 pub(crate) use fluid::Fluid;
-pub(crate) use frame::{product, turned, unit, wide};
+pub(crate) use frame::{product, turned, unit, wide, wide_rotation};
 pub(crate) use kinematics::{Place, PlaceMotion};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orientation};
 pub(crate) use neighbourhood::Neighbourhood;

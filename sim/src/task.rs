@@ -296,8 +296,9 @@ fn motors_of(agents: &[Vec<String>], robot: &Robot) -> Result<Vec<Vec<usize>>, S
     match (0..motors.len()).find(|motor| !owned.contains(motor)) {
         None => Ok(found),
         Some(motor) => {
-            let MotorPlan { joint, name, .. } = &motors[motor];
-            let kind = if joint == name { "joint" } else { "actuator" };
+            let MotorPlan { joint, name, tendon, thrust, .. } = &motors[motor];
+            let is_on_joint = tendon.is_none() && thrust.is_none();
+            let kind = if is_on_joint && joint == name { "joint" } else { "actuator" };
             Err(refused(format!("agents: the {kind} `{name}` belongs to no agent; add it to one")))
         }
     }

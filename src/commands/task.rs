@@ -207,15 +207,21 @@ fn joints(robot: &Robot) -> String {
         let range = largest.map_or("no limits".to_owned(), |most| format!("up to {most} rad"));
         format!("ball  {name:<16} {range}, {}", motors_of(robot, name, "N m"))
     });
-    let is_tendon = |actuator: &Actuator<'_>| {
+    let is_other = |actuator: &Actuator<'_>| {
         let joints = robot.hinges().map(|(name, _)| name);
         joints.chain(robot.balls().map(|(name, _)| name)).all(|name| name != actuator.joint)
     };
-    let tendons = robot.actuators().filter(is_tendon).map(|actuator| {
-        let (name, moved) = (actuator.joint, actuator.moved.join(", "));
-        format!("tendon {name:<15} moves {moved}, {}", motor(&actuator, "N"))
+    let others = robot.actuators().filter(is_other).map(|actuator| {
+        let name = actuator.joint;
+        match actuator.pushed {
+            Some((link, unit)) => format!("site  {name:<16} of {link}, {}", motor(&actuator, unit)),
+            None => {
+                let moved = actuator.moved.join(", ");
+                format!("tendon {name:<15} moves {moved}, {}", motor(&actuator, "N"))
+            }
+        }
     });
-    joints.chain(balls).chain(tendons).collect::<Vec<_>>().join("\n")
+    joints.chain(balls).chain(others).collect::<Vec<_>>().join("\n")
 }
 
 /// The motors of a joint.

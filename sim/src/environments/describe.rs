@@ -17,12 +17,7 @@ pub(super) fn describe(
     let robot = &task.robot;
     let state = global_state(task, config);
     let actuators: Vec<Actuator<'_>> = robot.actuators().collect();
-    let moved = |motors: &Vec<usize>| {
-        let joints = motors.iter().flat_map(|&motor| &actuators[motor].moved);
-        joints.copied().collect::<Vec<&str>>()
-    };
-    let driven: Vec<Vec<&str>> = task.agents.iter().map(moved).collect();
-    let observation = Observation::new(config, robot, &driven, &state);
+    let observation = Observation::new(config, robot, &task.agents, &state);
     let seen = |index: usize| {
         if task.rules.disturbance.change_sensors() { Vec::new() } else { observation.seen(index) }
     };
@@ -31,7 +26,7 @@ pub(super) fn describe(
         joints: motors.iter().map(|&motor| actuators[motor].joint.to_owned()).collect(),
         observation: observation.features(index, &state.features),
         seen: seen(index),
-        near: observation::near(config, robot, &driven[index], &state),
+        near: observation::near(config, robot, motors, &state),
         action: ActionSpec::continuous(motors.len()),
     });
     let description = EnvironmentSpec {

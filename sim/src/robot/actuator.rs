@@ -1,6 +1,7 @@
 //! Actuators as they are shown to people: what they act on, their controls, and their largest torques; and their laws.
 
 use proto::{ActivationKind, ActuatorKind, ActuatorSpec};
+use rapier3d::glamx::DVec3;
 
 use super::Robot;
 use super::blueprint::{MotorPlan, Servo};
@@ -10,9 +11,11 @@ use super::blueprint::{MotorPlan, Servo};
 pub struct Actuator<'a> {
     /// Name of the actuator; that of its joint, unless the model states one or the joint has several.
     pub name: &'a str,
-    /// Name of the joint or tendon that it acts on.
+    /// Name of the joint, tendon or site that it acts on.
     pub joint: &'a str,
-    /// Names of the joints that it moves.
+    /// If it acts on a site, the name of the link there and the unit of [`Self::torque`].
+    pub pushed: Option<(&'a str, &'static str)>,
+    /// Names of the joints that it moves; none if it acts on a site.
     pub moved: Vec<&'a str>,
     /// Range of its control.
     pub control: [f32; 2],
@@ -20,7 +23,7 @@ pub struct Actuator<'a> {
     pub torque: Torque,
 }
 
-/// The largest torque of an actuator, N m, or force of one on a slide or tendon, N.
+/// The largest torque of an actuator, N m, or force of one on a slide, tendon or site, N.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Torque {
     /// Of a motor, whose torque depends on the control only.
@@ -52,7 +55,12 @@ impl Robot {
                 }
             };
             let (name, joint) = (&motor.name, &motor.joint);
-            Actuator { name, joint, moved, control: motor.range, torque }
+            let links = &self.blueprint.links;
+            let pushed = motor.thrust.map(|thrust| {
+                let unit = if thrust.force == DVec3::ZERO { "N m" } else { "N" };
+                (links[thrust.link].name.as_str(), unit)
+            });
+            Actuator { name, joint, pushed, moved, control: motor.range, torque }
         })
     }
 }

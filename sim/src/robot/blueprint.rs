@@ -7,7 +7,7 @@ use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::prelude::MassProperties;
 
 use super::activation::Activation;
-use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan};
+use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan, Thrust};
 use super::fluid::Fluid;
 use super::softness::{Integration, Softness, SoftnessOverride};
 use super::surface::{ContactOverride, Surface};
@@ -216,13 +216,15 @@ impl HingeAxis {
 pub(crate) struct MotorPlan {
     /// Name of the actuator; that of its joint, with the kind of actuator if the joint has several, unless stated.
     pub(crate) name: String,
-    /// Name of the hinge or tendon that it drives.
+    /// Name of the hinge, tendon or site on which it acts.
     pub(crate) joint: String,
-    /// The hinges that it moves.
+    /// The hinges that it moves; none if it acts on a site.
     pub(crate) moved: Combination,
+    /// Where and along what it acts, if that is a site.
+    pub(crate) thrust: Option<Thrust>,
     /// Index of its tendon among all tendons, if it drives one.
     pub(crate) tendon: Option<usize>,
-    /// N m per unit of force.
+    /// N m per unit of force; on a site N, or N m if it exerts a torque alone.
     pub(crate) gear: f32,
     /// Range of the control.
     pub(crate) range: [f32; 2],
@@ -362,10 +364,15 @@ impl Blueprint {
         moving.filter(|link| self.tree_of(*link) == *link).count() > 1
     }
 
+    /// The links that a motor moves: those of its hinges, or that of its site.
+    pub(crate) fn links_of<'a>(&'a self, motor: &'a MotorPlan) -> impl Iterator<Item = usize> + 'a {
+        let hinges = motor.moved.0.iter().filter_map(|(hinge, _)| self.link_of(*hinge));
+        hinges.chain(motor.thrust.map(|thrust| thrust.link))
+    }
+
     /// The robot's root: the first link of the first tree with a motor, or of the first tree.
     pub(crate) fn root(&self) -> usize {
-        let driven = self.motors.iter().flat_map(|motor| motor.moved.0.iter());
-        let driven = driven.filter_map(|(hinge, _)| self.link_of(*hinge)).min();
+        let driven = self.motors.iter().flat_map(|motor| self.links_of(motor)).min();
         let link = driven.or((0..self.links.len()).find(|link| !self.links[*link].is_base()));
         link.map_or(0, |link| self.tree_of(link))
     }

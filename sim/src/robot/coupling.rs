@@ -1,8 +1,9 @@
 //! Tendons and equality constraints: sums of the positions of several hinges that springs, limits, actuators and
-//! constraints act on.
+//! constraints act on; and sites that actuators push.
 
 use std::sync::Arc;
 
+use rapier3d::glamx::DVec3;
 use rapier3d::math::{Rotation, Vector};
 
 use super::softness::Softness;
@@ -11,6 +12,16 @@ use super::softness::Softness;
 /// worlds share the terms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Combination(pub(crate) Arc<[(usize, f32)]>);
+
+/// Force and torque at a site of a link for each unit that [`MotorPlan::gear`](super::blueprint::MotorPlan::gear) gives, in the axes of the link.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Thrust {
+    pub(crate) link: usize,
+    /// The site in the link, m.
+    pub(crate) point: Vector,
+    pub(crate) force: DVec3,
+    pub(crate) torque: DVec3,
+}
 
 /// MuJoCo's `fixed` tendon. Its length is 0 in the rest pose; lengths are in m or rad, forces in N or N m.
 #[derive(Clone, Debug)]

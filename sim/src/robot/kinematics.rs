@@ -5,7 +5,7 @@ use rapier3d::math::{Pose, Rotation, Vector};
 
 use super::Robot;
 use super::blueprint::{JointPlan, LinkPlan, Motion};
-use super::frame::{about, wide};
+use super::frame::{about, wide, wide_rotation};
 use super::layout::JointMap;
 
 /// A body or a fixed point, with the joints between the world and it.
@@ -158,7 +158,7 @@ impl PlaceMotion {
 
 impl Frame {
     fn of(pose: &Pose) -> Self {
-        let rotation = DQuat::from_array(pose.rotation.to_array().map(f64::from));
+        let rotation = wide_rotation(pose.rotation);
         Self { position: wide(pose.translation), rotation }
     }
 }

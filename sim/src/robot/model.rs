@@ -46,7 +46,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
     let tendons = couplings::tendons(&root, &context, &links.plans);
     let equalities = couplings::equalities(&root, &context, &links.plans, &tendons);
     let connections = couplings::connections(&root, &context, &bodies, &links);
-    let motors = actuators::read(&root, &context, (&links, &tendons));
+    let motors = actuators::read(&root, &context, (&bodies, &links, &tendons));
     let keyframes = keyframes::read(&root, &context.blockers);
     let contacts = contacts::read(&root, &context, &bodies, (&links.plans, &grounds));
     context.blockers.finish()?;

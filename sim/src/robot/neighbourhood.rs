@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use serde::Deserialize;
 
-use super::{LinkPlan, Robot};
+use super::Robot;
 
 /// Joint graph of a robot.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -86,18 +86,17 @@ impl Robot {
         link.map(|link| self.blueprint.tree_of(link))
     }
 
-    /// The trees of hinges, slides and ball joints that `is` accepts by their names.
-    pub(crate) fn trees_of(&self, is: impl Fn(&str) -> bool) -> BTreeSet<usize> {
-        let links = self.blueprint.links.iter().enumerate();
-        let joint = |plan: &LinkPlan| plan.hinge().or(plan.ball()).is_some_and(|own| is(&own.name));
-        let of = links.filter(|(_, plan)| joint(plan));
-        of.map(|(link, _)| self.blueprint.tree_of(link)).collect()
+    /// The trees that these motors move.
+    pub(crate) fn trees_of(&self, motors: impl IntoIterator<Item = usize>) -> BTreeSet<usize> {
+        let blueprint = &self.blueprint;
+        let moved =
+            motors.into_iter().flat_map(|motor| blueprint.links_of(&blueprint.motors[motor]));
+        moved.map(|link| blueprint.tree_of(link)).collect()
     }
 
     /// The trees that have motors.
     pub(crate) fn driven_trees(&self) -> BTreeSet<usize> {
-        let driven: BTreeSet<&str> = self.actuators().flat_map(|motor| motor.moved).collect();
-        self.trees_of(|joint| driven.contains(joint))
+        self.trees_of(0..self.blueprint.motors.len())
     }
 }
 

@@ -95,7 +95,7 @@ impl Constraints {
         multibody: &Multibody,
         physics: &PhysicsWorld,
     ) -> Vec<([usize; 2], f32)> {
-        self.start.read(robot, multibody, physics);
+        self.start.read(robot, multibody, physics, std::iter::empty());
         self.touching.depths(&robot.blueprint, physics, &self.start)
     }
 
@@ -138,7 +138,7 @@ impl Constraints {
         let layout = &robot.layout;
         let multibody = physics.multibody_joints.get_multibody(layout.multibody);
         let multibody = multibody.expect("the template holds the robot");
-        self.start.read(robot, multibody, physics);
+        self.start.read(robot, multibody, physics, drives.thrusts());
         self.weigh(layout, drives, multibody);
         self.count_compensation(layout, drives, wide(physics.gravity));
         if !self.constrain(robot, physics) {

@@ -7,7 +7,7 @@
 use rapier3d::dynamics::Multibody;
 
 use crate::robot::{
-    Blueprint, Combination, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan,
+    Blueprint, Combination, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan, Thrust,
 };
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
@@ -47,6 +47,8 @@ struct Motor {
     turn: Option<f32>,
     /// Whether its range limits its force.
     is_limited: bool,
+    /// Force, or torque, that it exerts on its site, N or N m; 0 without one.
+    thrust: f32,
 }
 
 /// Drive of one hinge. Angles, speeds and torques have the model's sign.
@@ -120,6 +122,7 @@ impl HingeDrives {
                     mean_rate: 0.0,
                     turn: whole_turn(plan, layout),
                     is_limited: false,
+                    thrust: 0.0,
                 };
                 blueprint.motors.iter().map(still).collect()
             },
@@ -221,6 +224,11 @@ impl HingeDrives {
         self.drives.iter().map(|drive| drive.applied)
     }
 
+    /// Forces of the motors on sites in the last stage, N, or N m.
+    pub(super) fn thrusts(&self) -> impl Iterator<Item = (Thrust, f32)> {
+        self.motors.iter().filter_map(|motor| Some((motor.plan.thrust?, motor.thrust)))
+    }
+
     /// Damping of several hinges together, N s / m or N m s / rad of what moves them: of tendons, and of servos that no range
     /// limits. It is a part of [`Self::torques`].
     pub(super) fn shared_dampings(&self) -> impl Iterator<Item = (&Combination, f32)> {
@@ -272,9 +280,10 @@ impl HingeDrives {
         let Self { motors, tendons, drives, .. } = self;
         for motor in motors {
             let mut input = motor.input(self.step_secs);
-            let (turn, is_limited) = (motor.turn, &mut motor.is_limited);
+            let (turn, is_limited, thrust) = (motor.turn, &mut motor.is_limited, &mut motor.thrust);
             let motor = &motor.plan;
             let Some(servo) = motor.servo else {
+                *thrust = motor.gear * input;
                 for (hinge, factor) in motor.moved.0.iter() {
                     drives[*hinge].torque += factor * (motor.gear * input);
                 }
@@ -289,7 +298,7 @@ impl HingeDrives {
             let [constant, stiffness, slope] = servo.bias;
             let force = servo.gain * input + constant + stiffness * position + slope * speed;
             let limited = servo.range.map_or(force, |[low, high]| force.clamp(low, high));
-            *is_limited = limited != force;
+            (*is_limited, *thrust) = (limited != force, motor.gear * limited);
             let only = motor.moved.only_hinge().filter(|_| limited == force);
             if let Some(hinge) = only {
                 drives[hinge].damping -= motor.gear * motor.gear * slope;

@@ -14,6 +14,7 @@ mod places;
 mod public_models;
 mod references;
 mod refused;
+mod thrusters;
 mod trees;
 
 use std::sync::Arc;

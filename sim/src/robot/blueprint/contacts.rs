@@ -242,6 +242,9 @@ impl Blueprint {
         if self.links.iter().filter_map(LinkPlan::hinge).any(|hinge| hinge.compensates_gravity) {
             return reason("needs a model without `actuatorgravcomp`");
         }
+        if self.motors.iter().any(|motor| motor.thrust.is_some()) {
+            return reason("needs a model without actuators on sites");
+        }
         if self.fluid.is_some() {
             return reason("needs a model without the `density` and `viscosity` of a fluid");
         }

@@ -1,27 +1,32 @@
-//! Actuators: motors, and servos of the position or the speed of a joint.
+//! Actuators: motors, and servos of the position or the speed of a joint; thrusters on sites.
 
 use std::collections::BTreeSet;
 
 use proto::ActivationKind;
+use rapier3d::glamx::DVec3;
+use rapier3d::math::Pose;
 
 use super::super::activation::Activation;
 use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
-use super::super::coupling::{Combination, TendonPlan};
+use super::super::coupling::{Combination, TendonPlan, Thrust};
 use super::super::document::{Element, bounds};
+use super::super::frame::wide_rotation;
+use super::bodies::Body;
 use super::context::Context;
-use super::joints;
 use super::links::Links;
+use super::{couplings, joints};
 
-/// What else than a joint an actuator of MuJoCo can act on.
-const ELSEWHERE: [&str; 5] = ["site", "refsite", "body", "cranksite", "slidersite"];
+/// What else an actuator of MuJoCo can act on.
+const ELSEWHERE: [&str; 4] = ["refsite", "body", "cranksite", "slidersite"];
 const KINDS: [&str; 5] = ["motor", "position", "velocity", "intvelocity", "general"];
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
-/// A joint or tendon that an actuator moves.
+/// A joint or tendon that an actuator moves, or a site on which it acts.
 struct Driven {
     name: String,
     moved: Combination,
+    thrust: Option<Thrust>,
     /// Index of the tendon among all tendons.
     tendon: Option<usize>,
     /// Offset from this crate's position to MuJoCo's.
@@ -32,8 +37,8 @@ struct Driven {
     gear: f64,
 }
 
-/// The links and tendons of a model.
-type Parts<'a> = (&'a Links<'a>, &'a [TendonPlan]);
+/// The bodies, links and tendons of a model.
+type Parts<'a> = (&'a [Body], &'a Links<'a>, &'a [TendonPlan]);
 
 /// Force of an actuator: `gain c + bias . (1, q, v)`, with MuJoCo's coordinate `q`.
 struct Law {
@@ -80,7 +85,7 @@ fn named(read: &[(Element, MotorPlan)]) -> Vec<MotorPlan> {
 fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<MotorPlan, String> {
     if let Some(target) = ELSEWHERE.iter().find(|name| element.text(name).is_some()) {
         let reason = format!(
-            "an actuator must act on a joint or a fixed tendon, not on a {target}; state its `joint`, or remove it"
+            "an actuator must act on a joint, a fixed tendon or a site, not on a {target}; state its `joint`, or remove it"
         );
         return Err(element.refuse_for(target, reason));
     }
@@ -91,6 +96,10 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
     }
     let driven = driven(element, context, parts)?;
     let law = law(element, context)?;
+    if driven.thrust.is_some() && law.bias[1..] != [0.0; 2] {
+        let reason = "a servo needs a joint or tendon; use a motor on this site, or state `joint`";
+        return Err(element.refuse_for("site", reason));
+    }
     let has_one_axis = driven.tendon.is_some() || driven.moved.only_hinge().is_some();
     if law.bias[2] > 0.0 && !has_one_axis {
         return Err(element.refuse("a damping ratio needs one axis of a ball joint; state `kv`"));
@@ -105,6 +114,7 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
         activation,
         joint: driven.name,
         moved: driven.moved,
+        thrust: driven.thrust,
         tendon: driven.tendon,
     })
 }
@@ -113,9 +123,9 @@ fn motor(element: &Element, context: &Context, parts: Parts<'_>) -> Result<Motor
 fn driven(
     element: &Element,
     context: &Context,
-    (links, tendons): Parts<'_>,
+    (bodies, links, tendons): Parts<'_>,
 ) -> Result<Driven, String> {
-    let targets = ["joint", "jointinparent", "tendon"];
+    let targets = ["joint", "jointinparent", "tendon", "site"];
     let mut stated = targets.iter().filter_map(|target| Some((target, element.text(target)?)));
     let (attribute, name) = match (stated.next(), stated.next()) {
         (Some((attribute, name)), None) => (*attribute, name.to_owned()),
@@ -126,7 +136,17 @@ fn driven(
             return Err(element.refuse("it acts on a `joint` and on something else; remove one"));
         }
     };
-    let [gear, y, z, ..] = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
+    let gears = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
+    let [gear, y, z, ..] = gears;
+    if *attribute == "site" {
+        let (body, frame) = couplings::site(element, attribute, context, bodies)?;
+        let (link, home) = links.homes[body];
+        let fixed =
+            "its site is fixed to the world, where nothing moves; name a site of a moving body";
+        let moves = link.filter(|link| !links.plans[*link].is_base());
+        let link = moves.ok_or_else(|| element.refuse_for(attribute, fixed))?;
+        return Ok(Driven::site(name, (link, home * frame.pose()), gears));
+    }
     if attribute == "tendon" {
         let known = tendons.iter().map(|tendon| tendon.name.as_str());
         let index = context.index(element, attribute, ("fixed tendon", known))?;
@@ -134,6 +154,7 @@ fn driven(
         return Ok(Driven {
             name,
             moved: tendon.moved.clone(),
+            thrust: None,
             tendon: Some(index),
             reference: f64::from(tendon.reference),
             range: tendon.range,
@@ -156,6 +177,7 @@ fn driven(
         Some(hinge) => Ok(Driven {
             name,
             moved: Combination::of_hinge(index),
+            thrust: None,
             tendon: None,
             reference: f64::from(hinge.reference),
             range: hinge.range,
@@ -182,7 +204,25 @@ impl Driven {
             [(hinge, part)] => (Combination::of_hinge(*hinge), f64::from(*part)),
             _ => (Combination(parts.into()), 1.0),
         };
-        Self { name, moved, tendon: None, reference: 0.0, range: None, torque_range: None, gear }
+        Self { moved, gear, ..Self::unlimited(name) }
+    }
+
+    /// A site in a link, at which an actuator exerts the force and the torque `gears` in the site's axes.
+    fn site(name: String, (link, site): (usize, Pose), gears: [f64; 6]) -> Self {
+        let turn = wide_rotation(site.rotation);
+        let [force, torque] =
+            [0, 3].map(|k| turn * DVec3::new(gears[k], gears[k + 1], gears[k + 2]));
+        let size = if force == DVec3::ZERO { torque.length() } else { force.length() };
+        let unit = |part: DVec3| if size > 0.0 { part / size } else { part };
+        let (force, torque) = (unit(force), unit(torque));
+        let thrust = Thrust { link, point: site.translation, force, torque };
+        Self { thrust: Some(thrust), gear: size, ..Self::unlimited(name) }
+    }
+
+    fn unlimited(name: String) -> Self {
+        let moved = Combination([].into());
+        let (thrust, tendon, range, torque_range) = (None, None, None, None);
+        Self { name, moved, thrust, tendon, reference: 0.0, range, torque_range, gear: 1.0 }
     }
 
     /// Range of MuJoCo's position.

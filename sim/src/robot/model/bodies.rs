@@ -157,7 +157,7 @@ fn add_part(
         "site" => {
             let site = context.classes.resolve(child, childclass)?;
             let ends = geoms::ends(&site)?;
-            let name = child.text("name").filter(|name| context.connected.contains(*name));
+            let name = child.text("name").filter(|name| context.sites.contains(*name));
             let Some(name) = name else { return Ok(()) };
             let same = "`fromto` names the same point twice; set two different ones";
             let inside = match ends {

@@ -22,8 +22,8 @@ pub(super) struct Context {
     pub(super) paired: BTreeSet<String>,
     /// Names of the joints on which actuators, tendons and equalities act.
     pub(super) driven: BTreeSet<String>,
-    /// Names of the sites that equalities connect.
-    pub(super) connected: BTreeSet<String>,
+    /// Names of the sites that equalities connect and on which actuators act.
+    pub(super) sites: BTreeSet<String>,
     /// All names in the document.
     names: BTreeSet<String>,
     /// What cannot be built.
@@ -50,13 +50,13 @@ impl Context {
             .iter()
             .flat_map(|tag| root.all(tag))
             .for_each(|own| collect(own, &JOINTS, &mut driven));
-        let mut connected = BTreeSet::new();
-        let sites = ["site1", "site2"];
-        root.all("equality").for_each(|own| collect(own, &sites, &mut connected));
+        let mut sites = BTreeSet::new();
+        root.all("equality").for_each(|own| collect(own, &["site1", "site2"], &mut sites));
+        root.all("actuator").for_each(|own| collect(own, &["site"], &mut sites));
         let mut names = BTreeSet::new();
         collect(root, &["name"], &mut names);
         let context =
-            Self { classes, options, meshes, fields, paired, driven, connected, names, blockers };
+            Self { classes, options, meshes, fields, paired, driven, sites, names, blockers };
         Ok((context, left_out))
     }
 

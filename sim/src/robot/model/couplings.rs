@@ -220,7 +220,7 @@ fn connected(element: &Element, context: &Context, bodies: &[Body]) -> Result<[u
 }
 
 /// Body and frame of the site that an attribute names.
-fn site(
+pub(super) fn site(
     element: &Element,
     attribute: &str,
     context: &Context,

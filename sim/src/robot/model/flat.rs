@@ -255,11 +255,11 @@ fn rewrite(
     rests: &mut [Rest],
     context: &Context,
 ) {
-    let is_connected = |name: &str| context.connected.contains(name);
+    let is_used = |name: &str| context.sites.contains(name);
     for mut child in std::mem::take(&mut element.children) {
         match child.tag.as_str() {
             "camera" | "light" => continue,
-            "site" if !child.text("name").is_some_and(is_connected) => continue,
+            "site" if !child.text("name").is_some_and(is_used) => continue,
             "site" => drop(child.attributes.remove("material")),
             // Where the shapes decide, an `inertial` of the document counts for nothing.
             "inertial" if context.options.mass_source == MassSource::Shapes => continue,

@@ -8,7 +8,8 @@ use rapier3d::prelude::PhysicsWorld;
 use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
 use crate::robot::{
-    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, ball_joint, ball_rotation, turned, wide,
+    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, Thrust, ball_joint, ball_rotation,
+    turned, wide, wide_rotation,
 };
 
 /// Levers up to this are rounding, m. Without compliance, even such a lever would turn a link.
@@ -68,8 +69,14 @@ pub(super) struct Branch {
 }
 
 impl Motion {
-    /// Reads the motion from the multibody.
-    pub(super) fn read(&mut self, robot: &Robot, multibody: &Multibody, physics: &PhysicsWorld) {
+    /// Reads the motion from the multibody, and the forces on sites.
+    pub(super) fn read(
+        &mut self,
+        robot: &Robot,
+        multibody: &Multibody,
+        physics: &PhysicsWorld,
+        thrusts: impl Iterator<Item = (Thrust, f32)>,
+    ) {
         let (blueprint, layout) = (&robot.blueprint, &robot.layout);
         if self.links.is_empty() {
             self.links = links_of(robot, multibody);
@@ -105,6 +112,7 @@ impl Motion {
         if let Some(fluid) = &blueprint.fluid {
             self.flow(fluid);
         }
+        thrusts.for_each(|(thrust, size)| self.push(&thrust, f64::from(size)));
         self.gather();
         self.hinges.clear();
         self.hinges.extend(layout.hinges.iter().map(|hinge| {
@@ -137,7 +145,7 @@ impl Motion {
         for body in &fluid.boxes {
             let link = &mut self.links[body.link];
             let pose = link.pose * body.pose;
-            let axes = DQuat::from_array(pose.rotation.to_array().map(f64::from));
+            let axes = wide_rotation(pose.rotation);
             let arm = wide(pose.translation) - link.mass_centre;
             let [speed, spin] = link.velocity;
             let inside = [speed + spin.cross(arm) - wind, spin]
@@ -147,6 +155,16 @@ impl Motion {
             link.pull[0] += force;
             link.pull[1] += torque + arm.cross(force);
         }
+    }
+
+    /// Adds the force of an actuator on a site.
+    fn push(&mut self, thrust: &Thrust, size: f64) {
+        let link = &mut self.links[thrust.link];
+        let turn = wide_rotation(link.pose.rotation);
+        let [force, torque] = [thrust.force, thrust.torque].map(|part| turn * (size * part));
+        let arm = wide(link.pose * thrust.point) - link.mass_centre;
+        link.pull[0] += force;
+        link.pull[1] += torque + arm.cross(force);
     }
 
     /// Writes the mass matrix with armature, and the forces of gravity, of the rotation of the links and from outside.
@@ -241,8 +259,7 @@ impl LinkMotion {
         let properties = &body.mass_properties().local_mprops;
         self.pose = *link.local_to_world();
         self.joint = *link.joint();
-        let turn =
-            DMat3::from_quat(DQuat::from_array(self.pose.rotation.to_array().map(f64::from)));
+        let turn = DMat3::from_quat(wide_rotation(self.pose.rotation));
         let axes = properties.reconstruct_inertia_matrix().to_cols_array().map(f64::from);
         let is_massive = properties.inv_mass > 0.0;
         self.mass_centre = wide(self.pose * properties.local_com);
@@ -267,7 +284,8 @@ impl LinkMotion {
     /// The link without others, with its mass centre at `arm` from the origin.
     fn alone(&self, arm: DVec3) -> Branch {
         if self.mass <= 0.0 {
-            return Branch::NOTHING;
+            let [force, torque] = self.pull;
+            return Branch { pull: [force, torque + arm.cross(force)], ..Branch::NOTHING };
         }
         let [acceleration, turning] = self.rates;
         let spin = self.velocity[1];
