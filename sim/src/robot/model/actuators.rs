@@ -138,7 +138,7 @@ fn driven(
     };
     let gears = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
     let [gear, y, z, ..] = gears;
-    if *attribute == "site" {
+    if attribute == "site" {
         let (body, frame) = couplings::site(element, attribute, context, bodies)?;
         let (link, home) = links.homes[body];
         let fixed =

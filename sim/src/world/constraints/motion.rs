@@ -1,7 +1,7 @@
 //! The motion of a robot's links at the start of a step, its mass matrix, and the forces without constraints.
 
 use rapier3d::dynamics::{Multibody, MultibodyJoint, RigidBodySet};
-use rapier3d::glamx::{DMat3, DQuat, DVec3};
+use rapier3d::glamx::{DMat3, DVec3};
 use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::PhysicsWorld;
 
