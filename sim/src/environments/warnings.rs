@@ -61,7 +61,9 @@ fn floor(robot: &Robot) -> Option<String> {
     let mut bases = blueprint.links.iter().filter(|link| link.is_base());
     let has_base = bases.any(|link| link.shapes.iter().any(|shape| shape.surface.is_some()));
     let has_floor = has_base || !blueprint.grounds.is_empty();
-    let is_bottomless = !has_floor && blueprint.links.iter().any(|link| falls(&link.joint));
+    let flies = blueprint.motors.iter().any(|motor| motor.thrust.is_some());
+    let is_bottomless =
+        !has_floor && !flies && blueprint.links.iter().any(|link| falls(&link.joint));
     is_bottomless.then(|| {
         let why = "the robot has no floor that it can touch, so it falls: add <geom type=\"plane\" size=\"0 0 1\"/> \
             to the `worldbody`, or set `contype` and `conaffinity` of the floor and of shapes";

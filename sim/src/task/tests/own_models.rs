@@ -126,3 +126,27 @@ fn a_start_in_a_fixed_body_is_a_warning_unless_that_is_the_robots_base() {
         );
     }
 }
+
+/// A craft with a rotor at each end.
+const CRAFT: &str = "<mujoco><worldbody><body name=\"craft\"><freejoint name=\"root\"/><geom size=\".1\"/>\
+    <site name=\"hip\" pos=\".2 0 0\"/><site name=\"knee\" pos=\"-.2 0 0\"/></body></worldbody>\
+    <actuator><motor site=\"hip\" gear=\"0 0 1\" ctrlrange=\"0 50\"/>\
+    <motor site=\"knee\" gear=\"0 0 1\" ctrlrange=\"0 50\"/></actuator></mujoco>";
+
+#[test]
+fn agents_of_rotors_observe_their_root_and_need_no_floor() {
+    let build = |file: &str| {
+        let mut config = config(file, ObservationMode::KNearest);
+        config.definition.as_mut().unwrap().model = CRAFT.to_owned();
+        environments(&config, 1).map_err(|error| error.to_string())
+    };
+    let blind = build(FILE).err().unwrap();
+    assert!(blind.contains("agent_0 observes nothing; name features in"), "{blind}");
+    let world =
+        build(&format!("{FILE}[neighbourhood]\nglobals = [\"root.z.position\"]\n")).unwrap();
+    for agent in &world.description().agents {
+        let observed: Vec<&str> = agent.observation.iter().map(|own| own.name.as_str()).collect();
+        assert_eq!(observed, ["root.z.position"]);
+    }
+    assert!(!world.warnings().iter().any(|warning| warning.contains("no floor")));
+}
