@@ -108,13 +108,15 @@ class Agent:
     ranges: numpy.ndarray
 
     def start(self):
-        self.hidden = numpy.zeros((1, self.session.get_inputs()[1].shape[1]), numpy.float32)
+        recurrent = [state for state in self.session.get_inputs() if state.name == "hidden"]
+        self.hidden = {state.name: numpy.zeros((1, state.shape[1]), numpy.float32) for state in recurrent}
 
     def controls(self, values, number):
         """The controls of its actuators for the values of all features; `number` is the agent's own."""
         row = [float(name == f"id.{number}") if name.startswith("id.") else values[name] for name in self.features]
-        rows = {"observation": numpy.array([row], numpy.float32), "hidden": self.hidden}
-        action, self.hidden = self.session.run(["action", "next_hidden"], rows)
+        rows = {"observation": numpy.array([row], numpy.float32)} | self.hidden
+        action, *after = self.session.run(["action"] + [f"next_{name}" for name in self.hidden], rows)
+        self.hidden = dict(zip(self.hidden, after, strict=True))
         low, high = self.ranges.T
         return low + (numpy.clip(action[0], -1, 1) + 1) / 2 * (high - low)
 

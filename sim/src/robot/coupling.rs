@@ -13,7 +13,8 @@ use super::softness::Softness;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Combination(pub(crate) Arc<[(usize, f32)]>);
 
-/// Force and torque at a site of a link for each unit that [`MotorPlan::gear`](super::blueprint::MotorPlan::gear) gives, in the axes of the link.
+/// Force and torque at a site of a link for each unit that [`MotorPlan::gear`](super::blueprint::MotorPlan::gear) gives, in the
+/// axes of the link.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Thrust {
     pub(crate) link: usize,

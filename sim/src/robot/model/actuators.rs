@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 
 use proto::ActivationKind;
 use rapier3d::glamx::DVec3;
-use rapier3d::math::Pose;
 
 use super::super::activation::Activation;
 use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
@@ -19,6 +18,8 @@ use super::{couplings, joints};
 /// What else an actuator of MuJoCo can act on.
 const ELSEWHERE: [&str; 4] = ["refsite", "body", "cranksite", "slidersite"];
 const KINDS: [&str; 5] = ["motor", "position", "velocity", "intvelocity", "general"];
+/// `gear` unless stated.
+const GEAR: [f64; 6] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 /// Parameters of a gain or bias in a document.
 const MOST_PARAMETERS: usize = 10;
 
@@ -126,42 +127,32 @@ fn driven(
     (bodies, links, tendons): Parts<'_>,
 ) -> Result<Driven, String> {
     let targets = ["joint", "jointinparent", "tendon", "site"];
-    let mut stated = targets.iter().filter_map(|target| Some((target, element.text(target)?)));
-    let (attribute, name) = match (stated.next(), stated.next()) {
-        (Some((attribute, name)), None) => (*attribute, name.to_owned()),
-        (None, _) => {
-            return Err(element.refuse("an actuator must act on a joint; state its `joint`"));
+    let mut stated = targets.iter().filter(|target| element.text(target).is_some());
+    match (stated.next(), stated.next()) {
+        (Some(&"tendon"), None) => {
+            let known = tendons.iter().map(|tendon| tendon.name.as_str());
+            let index = context.index(element, "tendon", ("fixed tendon", known))?;
+            let [gear, ..] = element.padded("gear", GEAR)?;
+            Ok(Driven::tendon(index, &tendons[index], gear))
         }
+        (Some(&"site"), None) => on_site(element, context, bodies, links),
+        (Some(attribute), None) => on_joint(element, attribute, context, links),
+        (None, _) => Err(element.refuse("an actuator must act on a joint; state its `joint`")),
         (Some(_), Some(_)) => {
-            return Err(element.refuse("it acts on a `joint` and on something else; remove one"));
+            Err(element.refuse("it acts on a `joint` and on something else; remove one"))
         }
-    };
-    let gears = element.padded("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
-    let [gear, y, z, ..] = gears;
-    if attribute == "site" {
-        let (body, frame) = couplings::site(element, attribute, context, bodies)?;
-        let (link, home) = links.homes[body];
-        let fixed =
-            "its site is fixed to the world, where nothing moves; name a site of a moving body";
-        let moves = link.filter(|link| !links.plans[*link].is_base());
-        let link = moves.ok_or_else(|| element.refuse_for(attribute, fixed))?;
-        return Ok(Driven::site(name, (link, home * frame.pose()), gears));
     }
-    if attribute == "tendon" {
-        let known = tendons.iter().map(|tendon| tendon.name.as_str());
-        let index = context.index(element, attribute, ("fixed tendon", known))?;
-        let tendon = &tendons[index];
-        return Ok(Driven {
-            name,
-            moved: tendon.moved.clone(),
-            thrust: None,
-            tendon: Some(index),
-            reference: f64::from(tendon.reference),
-            range: tendon.range,
-            torque_range: None,
-            gear,
-        });
-    }
+}
+
+/// The joint that an attribute names.
+fn on_joint(
+    element: &Element,
+    attribute: &str,
+    context: &Context,
+    links: &Links<'_>,
+) -> Result<Driven, String> {
+    let name = element.text(attribute).unwrap_or_default().to_owned();
+    let [gear, y, z, ..] = element.padded("gear", GEAR)?;
     let hinges = joints::hinges(&links.plans);
     let balls: Vec<&Hinge> = links.plans.iter().filter_map(LinkPlan::ball).collect();
     let known: Vec<&str> = joints::names(&hinges).chain(joints::names(&balls)).collect();
@@ -175,14 +166,12 @@ fn driven(
     let index = context.index(element, attribute, ("hinge, slide or ball joint", known))?;
     match hinges.get(index) {
         Some(hinge) => Ok(Driven {
-            name,
             moved: Combination::of_hinge(index),
-            thrust: None,
-            tendon: None,
             reference: f64::from(hinge.reference),
             range: hinge.range,
             torque_range: hinge.torque_range,
             gear,
+            ..Driven::unlimited(name)
         }),
         None if attribute == "jointinparent" => {
             let reason =
@@ -192,6 +181,30 @@ fn driven(
         // The three rotations of each ball joint follow all hinges.
         None => Ok(Driven::ball(name, 3 * index - 2 * hinges.len(), [gear, y, z])),
     }
+}
+
+/// The site that an actuator names, at which it exerts a force and a torque along the site's axes: the parts of `gear`.
+fn on_site(
+    element: &Element,
+    context: &Context,
+    bodies: &[Body],
+    links: &Links<'_>,
+) -> Result<Driven, String> {
+    let (body, frame) = couplings::site(element, "site", context, bodies)?;
+    let (link, home) = links.homes[body];
+    let fixed = "its site is fixed to the world, where nothing moves; name a site of a moving body";
+    let moves = link.filter(|link| !links.plans[*link].is_base());
+    let link = moves.ok_or_else(|| element.refuse_for("site", fixed))?;
+    let site = home * frame.pose();
+    let [x, y, z, roll, pitch, yaw] = element.padded("gear", GEAR)?;
+    let turn = wide_rotation(site.rotation);
+    let [force, torque] = [turn * DVec3::new(x, y, z), turn * DVec3::new(roll, pitch, yaw)];
+    let gear = if force == DVec3::ZERO { torque.length() } else { force.length() };
+    let unit = |part: DVec3| if gear > 0.0 { part / gear } else { part };
+    let (force, torque) = (unit(force), unit(torque));
+    let thrust = Some(Thrust { link, point: site.translation, force, torque });
+    let name = element.text("site").unwrap_or_default().to_owned();
+    Ok(Driven { thrust, gear, ..Driven::unlimited(name) })
 }
 
 impl Driven {
@@ -207,16 +220,15 @@ impl Driven {
         Self { moved, gear, ..Self::unlimited(name) }
     }
 
-    /// A site in a link, at which an actuator exerts the force and the torque `gears` in the site's axes.
-    fn site(name: String, (link, site): (usize, Pose), gears: [f64; 6]) -> Self {
-        let turn = wide_rotation(site.rotation);
-        let [force, torque] =
-            [0, 3].map(|k| turn * DVec3::new(gears[k], gears[k + 1], gears[k + 2]));
-        let size = if force == DVec3::ZERO { torque.length() } else { force.length() };
-        let unit = |part: DVec3| if size > 0.0 { part / size } else { part };
-        let (force, torque) = (unit(force), unit(torque));
-        let thrust = Thrust { link, point: site.translation, force, torque };
-        Self { thrust: Some(thrust), gear: size, ..Self::unlimited(name) }
+    fn tendon(index: usize, tendon: &TendonPlan, gear: f64) -> Self {
+        Self {
+            moved: tendon.moved.clone(),
+            tendon: Some(index),
+            reference: f64::from(tendon.reference),
+            range: tendon.range,
+            gear,
+            ..Self::unlimited(tendon.name.clone())
+        }
     }
 
     fn unlimited(name: String) -> Self {
