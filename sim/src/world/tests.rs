@@ -95,6 +95,20 @@ fn motion(world: &World) -> (Vec<f32>, Vec<f32>) {
     (at, velocities)
 }
 
+fn assert_near(what: &str, got: &[f32], expected: &[f32], most: f32) {
+    assert_eq!(got.len(), expected.len(), "{what}");
+    let off = got.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(off <= most, "{what}: {got:?} against {expected:?}");
+}
+
+/// The coordinates of a free body with a quaternion of which the largest number is positive.
+fn unsigned(coordinates: &[f32]) -> Vec<f32> {
+    let turn = &coordinates[3..7];
+    let largest = turn.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap();
+    let turn = turn.iter().map(|part| part * largest.signum());
+    coordinates[..3].iter().copied().chain(turn).collect()
+}
+
 /// A rebuilt world has these numbers, and after some steps, a rebuilt second one continues as the first.
 fn assert_continues_bit_for_bit(
     [mut first, mut second]: [World; 2],

@@ -2,8 +2,8 @@
 //! for each kind of element.
 
 use super::{
-    LOPSIDED, STEP, World, assert_continues_bit_for_bit, document, motion, reference, robot,
-    robot_with, world_of,
+    LOPSIDED, STEP, World, assert_continues_bit_for_bit, assert_near, document, motion, reference,
+    robot, robot_with, world_of,
 };
 use crate::robot::{JointPlan, Physics};
 
@@ -29,11 +29,6 @@ fn hold(world: &mut World, controls: &[f32], secs: f32) {
 fn numbers<const N: usize>(value: &serde_json::Value) -> [f32; N] {
     let number = |index: usize| value[index].as_f64().unwrap() as f32;
     std::array::from_fn(number)
-}
-
-fn assert_near(what: &str, got: &[f32], expected: &[f32], tolerance: f32) {
-    let off = got.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    assert!(off <= tolerance, "{what}: {got:?} against {expected:?}");
 }
 
 #[test]

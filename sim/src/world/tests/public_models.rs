@@ -1,6 +1,6 @@
 //! Attributes that models of robots use, with the numbers that MuJoCo 4.0.0 has for them.
 
-use super::{document, motion, robot, robot_with, world_of};
+use super::{assert_near, document, motion, robot, robot_with, unsigned, world_of};
 use crate::robot::{Physics, Robot};
 
 /// Corners of a tetrahedron, m.
@@ -69,12 +69,6 @@ fn weight(robot: &Robot) -> [f32; 7] {
     [mass.mass(), x, y, z, low, middle, high]
 }
 
-fn assert_near(what: &str, got: &[f32], expected: &[f32], most: f32) {
-    assert_eq!(got.len(), expected.len(), "{what}");
-    let off = got.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    assert!(off <= most, "{what}: {got:?} against {expected:?}");
-}
-
 /// Coordinates after these steps of a millisecond from these velocities, without controls.
 fn moved(mjcf: &str, speeds: &[f32], steps: usize) -> Vec<f32> {
     let mut world = world_of(mjcf);
@@ -84,14 +78,6 @@ fn moved(mjcf: &str, speeds: &[f32], steps: usize) -> Vec<f32> {
         assert!(world.step(&[]));
     }
     motion(&world).0
-}
-
-/// The coordinates of a free body with a quaternion of which the largest number is positive.
-fn unsigned(coordinates: &[f32]) -> Vec<f32> {
-    let turn = &coordinates[3..7];
-    let largest = turn.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap();
-    let turn = turn.iter().map(|part| part * largest.signum());
-    coordinates[..3].iter().copied().chain(turn).collect()
 }
 
 #[test]
