@@ -152,8 +152,7 @@ impl Motion {
                 .map(|velocity| (axes.inverse() * velocity).to_array());
             let [force, torque] =
                 fluid.wrench(body.sizes, inside).map(|part| axes * DVec3::from_array(part));
-            link.pull[0] += force;
-            link.pull[1] += torque + arm.cross(force);
+            link.push(arm, [force, torque]);
         }
     }
 
@@ -163,8 +162,7 @@ impl Motion {
         let turn = wide_rotation(link.pose.rotation);
         let [force, torque] = [thrust.force, thrust.torque].map(|part| turn * (size * part));
         let arm = wide(link.pose * thrust.point) - link.mass_centre;
-        link.pull[0] += force;
-        link.pull[1] += torque + arm.cross(force);
+        link.push(arm, [force, torque]);
     }
 
     /// Writes the mass matrix with armature, and the forces of gravity, of the rotation of the links and from outside.
@@ -267,6 +265,12 @@ impl LinkMotion {
         self.weight = self.mass * f64::from(body.gravity_scale());
         self.inertia = turn * DMat3::from_cols_array(&axes) * turn.transpose();
         self.pull = [wide(body.user_force()), wide(body.user_torque())];
+    }
+
+    /// Adds a force, N, at `arm` from the mass centre, and a torque, N m.
+    fn push(&mut self, arm: DVec3, [force, torque]: [DVec3; 2]) {
+        self.pull[0] += force;
+        self.pull[1] += torque + arm.cross(force);
     }
 
     /// The link with all links that hang on it.
