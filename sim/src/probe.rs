@@ -24,25 +24,36 @@ const SHAPES: [&str; 2] = [
     <body name="ball" pos="-0.46 -0.5 0.42"><freejoint name="ball"/><geom size="0.05"/></body>
     </worldbody><actuator><motor joint="arm" ctrlrange="-1 1"/></actuator></mujoco>"#,
 ];
-/// Steps with each task and scaling: long enough for contacts.
-const STEPS: usize = 24;
-/// Ends one of the two episodes before the last step.
-const LIMIT: u32 = 15;
+/// Steps with each robot: long enough for contacts.
+const STEPS: u32 = 24;
+/// Steps with a robot's further tasks and observations, whose physics is that of its first.
+const FURTHER_STEPS: u32 = 4;
 
 /// Start states, observations, global states, rewards and ends of two episodes of every task, and of two that files
-/// define, with every kind of observation, under fixed actions. Little-endian f32.
+/// define, with every kind of observation, under fixed actions. Little-endian f32. Every process of a run computes it
+/// when it starts.
 pub fn probe() -> Vec<u8> {
     let tasks = task_names().iter().map(|task| (*task, None));
     let [file, model] = SHAPES.map(str::to_owned);
     let shapes = TaskDefinition { file, model };
     let tasks = tasks
         .chain([("hopper-2x1", Some(TaskDefinition::example())), ("shapes-1x1", Some(shapes))]);
-    let traces = tasks
-        .flat_map(|(task, definition)| views().map(|view| trace(task, definition.clone(), view)));
-    traces.flatten().flat_map(|(numbers, _)| numbers).flat_map(f32::to_le_bytes).collect()
+    let mut numbers = Vec::new();
+    let mut stepped = "";
+    for (task, definition) in tasks {
+        for view in views() {
+            let (robot, _) = task.rsplit_once('-').expect("tasks are named robot-agents");
+            let steps = if robot == stepped { FURTHER_STEPS } else { STEPS };
+            if let Some((trace, _)) = trace(task, definition.clone(), view, steps) {
+                numbers.extend(trace);
+                stepped = robot;
+            }
+        }
+    }
+    numbers.into_iter().flat_map(f32::to_le_bytes).collect()
 }
 
-/// An observation of everything, scaled; one of the neighbourhood; and the only one that games have.
+/// The only observation that games have; one of everything, scaled; and one of the neighbourhood.
 fn views() -> [ObservationConfig; 3] {
     let view = |mode, norm, contact_forces| ObservationConfig {
         mode,
@@ -52,29 +63,31 @@ fn views() -> [ObservationConfig; 3] {
         contact_forces,
     };
     [
+        view(ObservationMode::FullId, ObservationNorm::None, ContactForces::Absent),
         view(ObservationMode::FullId, ObservationNorm::FeatureZ, ContactForces::Zeros),
         view(ObservationMode::KNearest, ObservationNorm::None, ContactForces::Zeros),
-        view(ObservationMode::FullId, ObservationNorm::None, ContactForces::Absent),
     ]
 }
 
-/// The numbers and the environments after the last step; `None` if the task has no such observation.
+/// The numbers and the environments after the last step; `None` if the task has no such observation. The second
+/// episode ends halfway.
 fn trace(
     task: &str,
     definition: Option<TaskDefinition>,
     observation: ObservationConfig,
+    steps: u32,
 ) -> Option<(Vec<f32>, Box<dyn EnvironmentBatch>)> {
     let task = task.to_owned();
     let config = TaskConfig { task, definition, weights: None, observation };
     let mut environments = environments(&config, 2).ok()?;
     let mut numbers = Vec::new();
-    for (environment, limit) in [(0, u32::MAX), (1, LIMIT)] {
+    for (environment, limit) in [(0, u32::MAX), (1, steps / 2)] {
         environments.reset(environment, 0, limit, [7; 32]).expect("the simulator's own tasks");
     }
     let mut outcome = [Outcome::default(); 2];
     record(&*environments, &outcome, &mut numbers);
-    for step in 0..STEPS {
-        let actions = actions(&*environments, step);
+    for step in 0..steps {
+        let actions = actions(&*environments, step as usize);
         environments.step(&actions, &mut outcome).expect("the actions are in range");
         record(&*environments, &outcome, &mut numbers);
     }
@@ -122,8 +135,8 @@ mod tests {
 
     /// The global state after the last step has these features.
     fn last(task: &str, definition: Option<TaskDefinition>, names: [&str; 3]) -> [f32; 3] {
-        let [_, _, view] = views();
-        let (_, environments) = trace(task, definition, view).unwrap();
+        let [view, ..] = views();
+        let (_, environments) = trace(task, definition, view, STEPS).unwrap();
         let state = environments.state_of(0);
         let features = &environments.description().state;
         names.map(|name| state[features.iter().position(|own| own.name == name).expect(name)])
