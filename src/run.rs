@@ -20,6 +20,7 @@ use actor::Transport;
 use clap::Args;
 use learner::launch::Launch;
 use learner::store::run_folder::{CONFIG, RunFolder};
+use learner::store::{durable, plain_file};
 use policy::RunSeed;
 use proto::Digest;
 use serde_json::json;
@@ -167,6 +168,10 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     };
     demand_resumable(folder)?;
     let (file, old) = settings_of_run(folder)?;
+    let own = folder.join(CONFIG);
+    if let (true, Ok(damaged)) = (file != own, plain_file::read(&own)) {
+        durable::keep_damaged(&own, &damaged)?;
+    }
     request.resumed = Some(file);
     let new = RunConfig::of(&request)?;
     resume::check(&old, &new)?;

@@ -209,8 +209,8 @@ impl TrainingConfig {
         if self.replay().is_some() { 1 } else { policy.backpropagation_steps }
     }
 
-    /// How often an environment step is used in an agent's optimiser steps, on average: the epochs over `D_k`, or the
-    /// transitions drawn from the replay per stored transition after the warm-up.
+    /// How often an environment step is used in an agent's optimiser steps (HASAC: in the critics'), on average: the epochs over
+    /// `D_k`, or the transitions drawn from the replay per stored transition after the warm-up.
     #[must_use]
     pub fn sample_reuse(&self) -> f64 {
         let drawn = |replay: ReplaySettings| replay.batch as f64 * replay.updates_per_step;

@@ -1,5 +1,7 @@
 //! The simulator's part of the numeric fingerprint. Programs with equal probes produce equal episodes.
 
+use std::collections::BTreeSet;
+
 use proto::ActionSpec;
 
 use crate::config::{
@@ -39,14 +41,14 @@ pub fn probe() -> Vec<u8> {
     let tasks = tasks
         .chain([("hopper-2x1", Some(TaskDefinition::example())), ("shapes-1x1", Some(shapes))]);
     let mut numbers = Vec::new();
-    let mut stepped = "";
+    let mut stepped = BTreeSet::new();
     for (task, definition) in tasks {
+        let (robot, _) = task.rsplit_once('-').expect("tasks are named robot-agents");
+        let mut steps = if stepped.insert(robot) { STEPS } else { FURTHER_STEPS };
         for view in views() {
-            let (robot, _) = task.rsplit_once('-').expect("tasks are named robot-agents");
-            let steps = if robot == stepped { FURTHER_STEPS } else { STEPS };
             if let Some((trace, _)) = trace(task, definition.clone(), view, steps) {
                 numbers.extend(trace);
-                stepped = robot;
+                steps = FURTHER_STEPS;
             }
         }
     }

@@ -1,5 +1,6 @@
 //! Reports an invalid command line in one line.
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::CommandFactory as _;
@@ -7,7 +8,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::commands::Arguments;
 use crate::config::{keys, known};
-use crate::process::output;
+use crate::process::{output, shell};
 use crate::run::VALUE_NAME;
 
 /// Prints help and version as clap does, and any other report as one line.
@@ -25,10 +26,21 @@ pub(crate) fn report(error: &clap::Error) -> ExitCode {
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         // It goes to stderr; a failure cannot be reported.
         let _unread = error.print();
+    } else if let Some(argument) = not_text(error, std::env::args_os()) {
+        output::error(format!("error: {}", shell::not_text(&argument)));
     } else {
         output::error(one_line(error));
     }
     ExitCode::from(2)
+}
+
+/// The argument that is no text, if that is the error. Clap's report does not name it.
+fn not_text(
+    error: &clap::Error,
+    mut arguments: impl Iterator<Item = OsString>,
+) -> Option<OsString> {
+    let is_no_text = |argument: &OsString| argument.to_str().is_none();
+    arguments.find(is_no_text).filter(|_| error.kind() == ErrorKind::InvalidUtf8)
 }
 
 /// The message of clap's report, without its tips and its usage text, and what was probably meant.
@@ -97,6 +109,9 @@ fn setting_meant(error: &clap::Error, report: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt as _;
+
     use clap::Parser as _;
 
     use super::*;
@@ -121,6 +136,19 @@ mod tests {
             );
             assert_eq!(line, expected);
         }
+    }
+
+    #[test]
+    fn an_argument_that_is_no_text_is_named() {
+        let path = OsStr::from_bytes(b"runs/a\xff").to_owned();
+        for command in [&["task", "check"][..], &["train"], &["status"]] {
+            let words = [&["s2mia"], command].concat().into_iter().map(OsString::from);
+            let arguments = words.chain([path.clone()]);
+            let error = Arguments::try_parse_from(arguments.clone()).unwrap_err();
+            assert_eq!(not_text(&error, arguments), Some(path.clone()));
+        }
+        let other = Arguments::try_parse_from(["s2mia", "dance"]).unwrap_err();
+        assert_eq!(not_text(&other, [path.clone()].into_iter()), None);
     }
 
     #[test]

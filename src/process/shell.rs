@@ -1,7 +1,7 @@
 //! Words of a shell: a leading `~` in arguments, which a shell replaces only at the beginning of a word, so that
 //! `run.dir=~/x` and `--out=~/x` keep it; and paths in the commands that messages print.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Component, Path, PathBuf};
 
@@ -19,8 +19,27 @@ pub(crate) fn word(argument: &str) -> String {
 
 /// A path as one word of a shell that no command takes for an option.
 pub(crate) fn path(path: &Path) -> String {
-    let shown = path.to_string_lossy();
-    if shown.starts_with('-') { word(&format!("./{shown}")) } else { word(&shown) }
+    let bytes = path.as_os_str().as_bytes();
+    let place = if bytes.starts_with(b"-") { "./" } else { "" };
+    match path.to_str() {
+        Some(shown) => word(&format!("{place}{shown}")),
+        None => {
+            let octal = |byte: &u8| match byte {
+                b'/' | b'.' | b'_' | b'-' => char::from(*byte).to_string(),
+                _ if byte.is_ascii_alphanumeric() => char::from(*byte).to_string(),
+                _ => format!("\\{byte:03o}"),
+            };
+            let escaped: String = bytes.iter().map(octal).collect();
+            format!("\"$(printf '{place}{escaped}')\"")
+        }
+    }
+}
+
+/// Why an argument that is no text is refused, where settings or task files would contain it.
+pub(crate) fn not_text(argument: &OsStr) -> String {
+    format!(
+        "{argument:?} is not UTF-8, which this argument must be; rename the file or folder, or make a link to it"
+    )
 }
 
 /// The path, with the home folder in the place of a leading `~`.
@@ -74,6 +93,10 @@ mod tests {
             let read = Command::new("sh").args(["-c", &echo]).output().unwrap().stdout;
             assert_eq!(String::from_utf8(read).unwrap(), name);
         }
+        let name = OsStr::from_bytes(b"-a\xff'b$/%s c");
+        let echo = format!("printf %s {}", path(Path::new(name)));
+        let read = Command::new("sh").args(["-c", &echo]).output().unwrap().stdout;
+        assert_eq!(read, [b"./", name.as_bytes()].concat());
         assert_eq!(path(Path::new("runs/a-1")), "runs/a-1");
         assert_eq!(path(Path::new("-x y")), "'./-x y'");
     }

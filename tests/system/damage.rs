@@ -24,12 +24,15 @@ fn a_damaged_config_is_replaced_by_the_checkpoints_copy_and_a_resume_restores_it
         (good[..good.len() / 2].to_owned(), "config.toml"),
         (changed, "these are not the run's settings"),
     ] {
-        std::fs::write(&config, damaged).unwrap();
+        std::fs::write(&config, &damaged).unwrap();
         let told = warned(&eval);
         assert!(told.contains(why), "{told}");
         assert!(told.contains("iter_00000002/config.toml are used"), "{told}");
         assert_eq!(succeeded(&eval), played);
     }
+    resume(&folder);
+    let kept = std::fs::read_to_string(folder.join("config.toml.damaged")).unwrap();
+    assert!(kept.contains("task = \"halfcheetah-3x2\""), "{kept}");
     std::fs::remove_file(&config).unwrap();
     resume(&folder);
     let restored = std::fs::read_to_string(&config).unwrap();
@@ -66,6 +69,8 @@ fn a_damaged_manifest_is_reported_and_written_again() {
         let written = json(&manifest);
         assert_eq!((&written["seed"], &written["foreign_actors"]), (&7.into(), &().into()));
     }
+    let kept = std::fs::read_to_string(folder.join("manifest.json.damaged")).unwrap();
+    assert!(kept.contains("\"seed\": 8") && kept.contains(&good[..good.len() / 2]), "{kept}");
     let starts = std::fs::read_to_string(folder.join("starts.jsonl")).unwrap();
     assert_eq!(starts.lines().count(), 5);
 }
@@ -85,7 +90,9 @@ fn a_resume_of_a_whole_run_warns_of_nothing_and_names_what_another_has_lost() {
     assert!(told.contains("provenance.jsonl has no lines of iterations 2"), "{told}");
     std::fs::write(&provenance, format!("{lines}half a line\n")).unwrap();
     let told = resume(&folder);
-    assert!(told.contains("provenance.jsonl has 1 damaged line,"), "{told}");
+    assert!(told.contains("provenance.jsonl has damaged lines: 1, which are moved to"), "{told}");
+    let kept = std::fs::read_to_string(folder.join("provenance.jsonl.damaged")).unwrap();
+    assert_eq!(kept, "half a line\n");
     std::fs::remove_dir_all(folder.join("checkpoints/iter_00000004")).unwrap();
     let told = resume(&folder);
     assert!(told.contains("the checkpoint of iteration 4 is lost"), "{told}");

@@ -94,22 +94,29 @@ class Acting(Closing):
     def reset(self, environments: ArrayLike | None = None) -> None:
         """Starts episodes, with recurrent states of zero.
 
-        `environments` is a mask `[E]` or the indices of the environments whose episodes start. Without it, all
-        episodes start, and the number of environments may change. Raises `ValueError` for other environments.
+        `environments` is a mask `[E]` of bool or the indices, each once, of the environments whose episodes start. Without
+        it, all episodes start, and the number of environments may change. Raises `ValueError` for other environments.
         """
-        count = self._environments
         if environments is None:
             self._environments = None
             return
         which = np.asarray(environments)
-        if not which.size or count is None:
+        if not which.size:
             return
+        # Before the first step, the number of environments is not known.
+        count = which.size if self._environments is None and which.dtype == bool else self._environments
         mask = which.dtype == bool and which.shape == (count,)
-        indices = which.dtype.kind in "iu" and which.ndim <= 1 and which.min() >= 0 and which.max() < count
+        indices = which.dtype.kind in "iu" and which.ndim <= 1 and which.min() >= 0
+        if indices:
+            indices = (count is None or which.max() < count) and np.unique(which).size == which.size
         if not mask and not indices:
-            raise ValueError(f"reset needs a mask of {count} environments or indices below {count}, not {environments}")
-        for environment in np.flatnonzero(which) if mask else np.unique(which):
-            self._restart(int(environment))
+            size, limit = ("the", "") if count is None else (count, f" below {count}")
+            raise ValueError(
+                f"reset needs a mask of {size} environments of type bool or different indices{limit}, not {environments}"
+            )
+        if self._environments is not None:
+            for environment in np.flatnonzero(which) if mask else which.reshape(-1):
+                self._restart(int(environment))
 
     @abc.abstractmethod
     def close(self) -> None:

@@ -98,6 +98,27 @@ pub(crate) fn append_line(path: &Path, line: &str) -> Result<(), FileError> {
     sync_name(path)
 }
 
+/// Adds bytes that a repair drops from a damaged file to `NAME.damaged` beside it, unless it ends with them, and returns that
+/// path.
+///
+/// # Errors
+/// Names the file or folder that could not be written.
+pub fn keep_damaged(path: &Path, bytes: &[u8]) -> Result<PathBuf, FileError> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".damaged");
+    let kept = PathBuf::from(name);
+    if plain_file::read(&kept).is_ok_and(|earlier| earlier.ends_with(bytes)) {
+        return Ok(kept);
+    }
+    let appended = plain_file::append(&kept).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()
+    });
+    appended.map_err(FileError::of("write", &kept))?;
+    sync_name(&kept)?;
+    Ok(kept)
+}
+
 /// Number of bytes up to the end of the last whole line.
 pub(crate) fn whole_lines(text: &[u8]) -> usize {
     text.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1)

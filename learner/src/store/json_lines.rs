@@ -27,6 +27,7 @@ pub struct JsonLines {
 impl JsonLines {
     /// Opens the file and drops every line past `iteration`, also half a line that a crash left.
     /// Returns the lines that stay, too, and warns of iterations up to `iteration` that have none.
+    /// Damaged lines are moved to a file beside it.
     ///
     /// # Errors
     /// Names the file if it cannot be read or written.
@@ -40,7 +41,7 @@ impl JsonLines {
         let whole = durable::whole_lines(&text);
         let mut kept = Vec::new();
         let mut content = Vec::new();
-        let mut damaged = 0;
+        let mut damaged = Vec::new();
         for line in lines {
             match of_iteration(line) {
                 Some((found, value)) if found <= iteration => {
@@ -49,15 +50,18 @@ impl JsonLines {
                     kept.push(value);
                 }
                 Some(_) => {}
-                None => damaged += 1,
+                None => damaged.push(line),
             }
         }
-        damaged -= usize::from(of_iteration(&text[whole..]).is_none() && whole < text.len());
+        if whole < text.len() && of_iteration(&text[whole..]).is_none() {
+            damaged.pop();
+        }
         let shown = path.display();
-        match damaged {
-            0 => {}
-            1 => tracing::warn!("{shown} has 1 damaged line, which is dropped"),
-            _ => tracing::warn!("{shown} has {damaged} damaged lines, which are dropped"),
+        if !damaged.is_empty() {
+            let lines = damaged.iter().flat_map(|line| [line, b"\n".as_slice()]);
+            let kept = durable::keep_damaged(path, &lines.collect::<Vec<_>>().concat())?;
+            let (count, kept) = (damaged.len(), kept.display());
+            tracing::warn!("{shown} has damaged lines: {count}, which are moved to {kept}");
         }
         if content != text {
             durable::replace(path, &content)?;

@@ -140,6 +140,9 @@ impl RunFolder {
         match self.manifest() {
             Ok(_) => Ok(()),
             Err(why) => {
+                if let Ok(damaged) = plain_file::read(&self.file(MANIFEST)) {
+                    durable::keep_damaged(&self.file(MANIFEST), &damaged)?;
+                }
                 let mut manifest = start.clone();
                 let is_new = !checkpoint::folder(&self.path).is_dir();
                 let known = matches!(why, RunFolderError::File(_)) && is_new;
@@ -257,7 +260,9 @@ impl RunFolder {
             Ok(manifest) => manifest,
             Err(why) => {
                 // The checkpoint has the hash of its settings, too.
-                tracing::warn!("{why}; the manifest is written again");
+                tracing::warn!(
+                    "{why}; the manifest is written again, and a damaged one is kept beside it"
+                );
                 return Ok(());
             }
         };

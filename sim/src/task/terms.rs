@@ -356,7 +356,12 @@ impl Tilt {
     /// The tilt of the body that the key `of` at `place` names, or of the robot's root.
     pub(super) fn new(place: &str, of: Option<&str>, robot: &Robot) -> Result<Self, SimError> {
         if let Some(name) = of {
-            return Names::body(robot, &format!("{place}.of"), name).map(Self::Body);
+            let body = Names::body(robot, &format!("{place}.of"), name)?;
+            if body.is_fixed() {
+                let why = "its body is fixed to the world; name one that moves";
+                return Err(refused(format!("{place} is constant, because {why}")));
+            }
+            return Ok(Self::Body(body));
         }
         let root = robot.layout.root_joint();
         match root.kind {

@@ -140,7 +140,7 @@ impl Constraints {
         let multibody = multibody.expect("the template holds the robot");
         self.start.read(robot, multibody, physics, drives.thrusts());
         self.weigh(layout, drives, multibody);
-        self.count_compensation(layout, drives, wide(physics.gravity));
+        self.count_forces_on_links(layout, drives, wide(physics.gravity));
         if !self.constrain(robot, physics) {
             return false;
         }
@@ -187,15 +187,17 @@ impl Constraints {
         }
     }
 
-    /// Counts gravity compensation as torques of motors, where the model says so.
-    fn count_compensation(&mut self, layout: &Layout, drives: &mut HingeDrives, gravity: DVec3) {
+    /// Counts forces on links as torques of motors: those of actuators on sites, and gravity compensation where the model says
+    /// so.
+    fn count_forces_on_links(&mut self, layout: &Layout, drives: &mut HingeDrives, gravity: DVec3) {
         for (index, hinge) in layout.hinges.iter().enumerate() {
-            if !hinge.plan.compensates_gravity {
+            if !drives.counts_forces_on_links(hinge) {
                 continue;
             }
             let (dof, sign) = (hinge.dof, f64::from(hinge.plan.axis.sign));
-            let force = (sign * self.start.gravity_compensation(dof, gravity)) as f32;
-            let [change, damping] = drives.compensate(index, force, hinge.plan.torque_range);
+            let gravity = if hinge.plan.compensates_gravity { gravity } else { DVec3::ZERO };
+            let force = (sign * self.start.actuation(dof, gravity)) as f32;
+            let [change, damping] = drives.count(index, force, hinge.plan.torque_range);
             self.problem.pull[dof] += sign * f64::from(change);
             if self.integration == Integration::Euler {
                 let diagonal = dof * self.start.speeds.len() + dof;

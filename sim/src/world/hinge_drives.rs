@@ -27,6 +27,8 @@ pub(crate) struct HingeDrives {
     tendons: Vec<TendonPlan>,
     /// Drives in the order of [`Layout::hinges`].
     drives: Vec<Drive>,
+    /// Whether a motor acts on a site.
+    has_thrusts: bool,
 }
 
 /// A motor with its state.
@@ -132,6 +134,7 @@ impl HingeDrives {
                 blueprint.tendons.iter().filter(acts).cloned().collect()
             },
             drives: vec![Drive::default(); layout.hinges.len()],
+            has_thrusts: blueprint.motors.iter().any(|motor| motor.thrust.is_some()),
         }
     }
 
@@ -241,14 +244,14 @@ impl HingeDrives {
         servos.chain(tendons).filter(|(_, damping)| *damping != 0.0)
     }
 
-    /// Counts gravity compensation, N m, as a torque of a hinge's motors. Returns the change of the torque with which their sum
-    /// is in `range`, and the damping that ends there, N m s / rad.
-    pub(super) fn compensate(
-        &mut self,
-        index: usize,
-        force: f32,
-        range: Option<[f32; 2]>,
-    ) -> [f32; 2] {
+    /// Whether [`Self::count`] completes the torque of a hinge's motors, and limits it.
+    pub(super) fn counts_forces_on_links(&self, hinge: &HingeMap) -> bool {
+        hinge.plan.compensates_gravity || self.has_thrusts
+    }
+
+    /// Counts forces on links, N m, as a torque of a hinge's motors. Returns the change of the torque with which their sum is in
+    /// `range`, and the damping that ends there, N m s / rad.
+    pub(super) fn count(&mut self, index: usize, force: f32, range: Option<[f32; 2]>) -> [f32; 2] {
         let drive = &mut self.drives[index];
         let sum = drive.effort + force;
         drive.effort = range.map_or(sum, |[low, high]| sum.clamp(low, high));
@@ -277,7 +280,7 @@ impl HingeDrives {
     /// Computes the torques of motors and tendons. The part of a joint's servo that depends on the speed is damping, which
     /// the engine integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
     fn actuate(&mut self, hinges: &[HingeMap]) {
-        let Self { motors, tendons, drives, .. } = self;
+        let Self { motors, tendons, drives, has_thrusts, .. } = self;
         for motor in motors {
             let mut input = motor.input(self.step_secs);
             let (turn, is_limited, thrust) = (motor.turn, &mut motor.is_limited, &mut motor.thrust);
@@ -308,8 +311,8 @@ impl HingeDrives {
             }
         }
         for (drive, hinge) in drives.iter_mut().zip(hinges) {
-            if let Some([low, high]) =
-                hinge.plan.torque_range.filter(|_| !hinge.plan.compensates_gravity)
+            let is_complete = !hinge.plan.compensates_gravity && !*has_thrusts;
+            if let Some([low, high]) = hinge.plan.torque_range.filter(|_| is_complete)
                 && (drive.torque < low || drive.torque > high)
             {
                 (drive.torque, drive.damping) = (drive.torque.clamp(low, high), 0.0);

@@ -26,6 +26,10 @@ pub(crate) struct TaskNewArguments {
 
 /// Writes the example, or the copy.
 pub(super) fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
+    if arguments.folder.to_str().is_none() {
+        // No command could name the task.
+        return Err(Usage::new(shell::not_text(arguments.folder.as_os_str())).into());
+    }
     let definition = match &arguments.from {
         None => TaskDefinition::example(),
         Some(name) => copy(name)?,

@@ -235,12 +235,23 @@ def test_another_number_of_environments_needs_a_reset(trained):
     assert team.act(np.zeros((2, 2, 9))).shape == (2, 2)
 
 
-@pytest.mark.parametrize("environments", [[True], [0, 3], [-1], [0.5], "first"])
-def test_environments_that_do_not_exist_are_not_reset(trained, environments):
+@pytest.mark.parametrize("environments", [[True], [0, 3], [-1], [0.5], "first", [1, 0, 1], np.uint8([0, 0, 1])])
+def test_environments_that_do_not_exist_or_are_named_twice_are_not_reset(trained, environments):
     team = s2mia.load(trained)
     team.act(np.zeros((3, 2, 9)))
-    with pytest.raises(ValueError, match="^reset needs a mask of 3 environments or indices below 3, not "):
+    refusal = "^reset needs a mask of 3 environments of type bool or different indices below 3, not "
+    with pytest.raises(ValueError, match=refusal):
         team.reset(environments)
+
+
+@pytest.mark.parametrize("environments", [[-1], [0.5], "first", [1, 0, 1], [[True]], [[0]]])
+def test_before_the_first_step_wrong_environments_are_refused_as_well(trained, environments):
+    team = s2mia.load(trained)
+    with pytest.raises(ValueError, match="^reset needs a mask of the environments of type bool or different indices, not "):
+        team.reset(environments)
+    team.reset([True, False])
+    team.reset([3, 1])
+    assert team.act(np.zeros((2, 2, 9))).shape == (2, 2)
 
 
 def test_a_loaded_team_has_no_connection_and_acts_after_it_is_closed(trained):

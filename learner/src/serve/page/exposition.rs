@@ -47,7 +47,8 @@ impl Exposition {
         self.gauge("iteration", "Finished iterations", status.iteration as f64);
         let planned = facts.shown.iterations as f64;
         self.gauge("iterations_planned", "Iterations of the whole run", planned);
-        let help = "Uses of each environment step in the optimiser steps of an agent";
+        let help =
+            "Uses of each environment step in the optimiser steps of an agent (HASAC: the critics)";
         self.gauge("sample_reuse_ratio", help, facts.sample_reuse);
         let at = |stage: Stage| (stage.name(), f64::from(u8::from(stage == run.stage)));
         self.gauges("phase", "1 for the current stage of the trainer", "phase", Stage::ALL.map(at));

@@ -101,19 +101,32 @@ fn noise_that_agents_share_is_that_of_acting_only() {
 #[test]
 fn an_agent_is_updated_against_the_newest_actions_of_those_before_it() {
     let (config, policy) = configs();
-    let trained = |order: [usize; 2]| {
-        let mut hasac = Hasac::new(&config, &policy, &problem(2), RunSeed(0)).unwrap();
-        let mut sample = Sample::default();
-        sample.now.state = normals(30);
-        sample.now.observation = vec![normals(20); 2];
-        hasac.improve_policies(&sample, &order, &mut [noise(), noise()]).unwrap();
-        let weights = hasac.weights().unwrap();
-        [0, 1]
-            .map(|agent| weights[&format!("weights/agent_{agent}.layers.0.linear.weight")].clone())
-    };
-    // Either agent's step depends on whether the other one has moved.
-    let (forward, backward) = (trained([0, 1]), trained([1, 0]));
-    assert!(forward[0] != backward[0] && forward[1] != backward[1]);
+    let mut sample = Sample::default();
+    sample.now.state = normals(30);
+    sample.now.observation = vec![normals(20); 2];
+    let hasac = || Hasac::new(&config, &policy, &problem(2), RunSeed(0)).unwrap();
+    let (mut sequential, mut plain) = (hasac(), hasac());
+    sequential.improve_policies(&sample, &[1, 0], &mut [noise(), noise()]).unwrap();
+    let mut critics = plain.critics.frozen().unwrap();
+    let mut noise = [noise(), noise()];
+    let mut actions = [0, 1].map(|index| {
+        let agent: &mut HasacAgent = &mut plain.agents[index];
+        agent.act(&sample.now.observation[index], &mut noise[index]).action
+    });
+    for index in [1, 0] {
+        let (agent, observation) = (&mut plain.agents[index], &sample.now.observation[index]);
+        let drawn = agent.act_in_training(observation, &mut noise[index]).unwrap();
+        actions[index].clone_from(&drawn.action);
+        let joint = [&actions[0][..], &actions[1][..]];
+        let (values, by_input) =
+            critics.smaller(&plain.critics.joint_input(&sample.now.state, &joint));
+        // State features, then the action of each agent.
+        let by_action: Vec<f32> = by_input.chunks_exact(5).map(|row| row[3 + index]).collect();
+        agent.improve(&drawn, &values, &by_action).unwrap();
+        // The second agent meets what the new policy of the first does.
+        actions[index] = agent.act(observation, &mut noise[index]).action;
+    }
+    assert_eq!(sequential.arrays().unwrap(), plain.arrays().unwrap());
 }
 
 #[test]

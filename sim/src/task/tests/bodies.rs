@@ -207,6 +207,11 @@ fn invalid_rows_of_bodies_are_refused_with_their_key() {
             "reward.upright.of: the robot has no body `cup`",
         ),
         (term("term = \"upright\""), "reward.upright needs a free root or a planar root"),
+        (term("term = \"upright\"\nof = \"goal\""), "reward.upright is constant, because its body"),
+        (
+            "[[healthy]]\nfeature = \"upright\"\nof = \"world\"\nabove = 0\n".to_owned(),
+            "healthy.upright is constant, because its body is fixed to the world; name one that moves",
+        ),
         (
             "[[healthy]]\ncoordinate = \"ball.x\"\nof = \"ball\"\nabove = 0\n".to_owned(),
             "healthy has the key `of` only with `feature = \"upright\"`",

@@ -47,6 +47,8 @@ pub(super) struct LinkMotion {
     inertia: DMat3,
     /// Force on the mass centre, N, and torque, N m, from outside.
     pull: [DVec3; 2],
+    /// The same of actuators on sites, a part of `pull`.
+    thrust: [DVec3; 2],
     /// Velocity of the mass centre, m/s, and angular velocity, rad/s.
     pub(super) velocity: [DVec3; 2],
     /// Their rates while all velocities of the joints are constant, m/s^2 and rad/s^2.
@@ -163,6 +165,7 @@ impl Motion {
         let [force, torque] = [thrust.force, thrust.torque].map(|part| turn * (size * part));
         let arm = wide(link.pose * thrust.point) - link.mass_centre;
         link.push(arm, [force, torque]);
+        link.thrust = [link.thrust[0] + force, link.thrust[1] + torque + arm.cross(force)];
     }
 
     /// Writes the mass matrix with armature, and the forces of gravity, of the rotation of the links and from outside.
@@ -184,13 +187,13 @@ impl Motion {
         }
     }
 
-    /// Force of the gravity compensation of links on a velocity, N or N m.
-    pub(super) fn gravity_compensation(&self, dof: usize, gravity: DVec3) -> f64 {
-        let moved =
-            self.links.iter().filter(|link| link.weight != link.mass && link.dofs.contains(&dof));
+    /// Force on a velocity of actuators on sites and of the compensation of this gravity by links, N or N m.
+    pub(super) fn actuation(&self, dof: usize, gravity: DVec3) -> f64 {
+        let moved = self.links.iter().filter(|link| link.dofs.contains(&dof));
         let wrenches = moved.map(|link| {
-            let force = (link.weight - link.mass) * gravity;
-            [force, (link.mass_centre - link.origin).cross(force)]
+            let [thrust, torque] = link.thrust;
+            let force = thrust + (link.weight - link.mass) * gravity;
+            [force, torque + (link.mass_centre - link.origin).cross(force)]
         });
         wrenches.fold(0.0, |sum, wrench| sum + product(self.twists[dof], wrench))
     }
@@ -244,6 +247,7 @@ impl LinkMotion {
             weight: 0.0,
             inertia: DMat3::ZERO,
             pull: [DVec3::ZERO; 2],
+            thrust: [DVec3::ZERO; 2],
             velocity: [DVec3::ZERO; 2],
             rates: [DVec3::ZERO; 2],
             branch: Branch::NOTHING,
@@ -265,6 +269,7 @@ impl LinkMotion {
         self.weight = self.mass * f64::from(body.gravity_scale());
         self.inertia = turn * DMat3::from_cols_array(&axes) * turn.transpose();
         self.pull = [wide(body.user_force()), wide(body.user_torque())];
+        self.thrust = [DVec3::ZERO; 2];
     }
 
     /// Adds a force, N, at `arm` from the mass centre, and a torque, N m.

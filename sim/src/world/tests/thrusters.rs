@@ -81,6 +81,31 @@ fn a_thruster_on_an_arm_has_its_law_and_moves_all_joints_before_it() {
 }
 
 #[test]
+fn the_torque_range_of_a_joint_limits_the_sum_of_thrusters_servos_and_gravity_compensation() {
+    let limited = ARM
+        .replace("damping=\".05\"", "damping=\".05\" actuatorfrcrange=\"-.6 .5\"")
+        .replace("armature=\".01\"", "armature=\".01\" actuatorfrcrange=\"-.2 .3\"");
+    let compensated = limited
+        .replace("armature=\".01\"", "armature=\".01\" actuatorgravcomp=\"true\"")
+        .replace("euler=\".4 0 0\"", "euler=\".4 0 0\" gravcomp=\"1\"");
+    for (option, arm, expected, efforts) in [
+        ("", &limited, [0.780915, 0.446081], [-0.6, 0.17182]),
+        ("integrator=\"implicitfast\"", &limited, [0.780962, 0.447156], [-0.6, 0.16774]),
+        ("integrator=\"RK4\"", &limited, [0.77628, 0.444715], [-0.6, 0.18008]),
+        ("", &compensated, [0.699089, 0.495568], [-0.6, 0.08563]),
+        ("integrator=\"implicitfast\"", &compensated, [0.699123, 0.496491], [-0.6, 0.08198]),
+        ("integrator=\"RK4\"", &compensated, [0.694917, 0.494097], [-0.6, 0.09251]),
+    ] {
+        let mut world = world_of(&flying(option, arm, JET));
+        for _ in 0..150 {
+            assert!(world.step(&[0.9, 0.5]));
+        }
+        assert_near(option, &motion(&world).0, &expected, 3e-3);
+        assert_near(option, &world.efforts().collect::<Vec<_>>(), &efforts, 5e-3);
+    }
+}
+
+#[test]
 fn thrusters_continue_bit_for_bit_from_a_restored_motion() {
     let world = || world_of(&flying("", CRAFT, THRUSTERS));
     let at = [0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0];
