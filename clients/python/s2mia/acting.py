@@ -104,8 +104,8 @@ class Acting(Closing):
         if not which.size:
             return
         # Before the first step, the number of environments is not known.
-        count = which.size if self._environments is None and which.dtype == bool else self._environments
-        mask = which.dtype == bool and which.shape == (count,)
+        count = self._environments
+        mask = which.dtype == bool and which.ndim == 1 and count in (None, which.size)
         indices = which.dtype.kind in "iu" and which.ndim <= 1 and which.min() >= 0
         if indices:
             indices = (count is None or which.max() < count) and np.unique(which).size == which.size
@@ -114,7 +114,7 @@ class Acting(Closing):
             raise ValueError(
                 f"reset needs a mask of {size} environments of type bool or different indices{limit}, not {environments}"
             )
-        if self._environments is not None:
+        if count is not None:
             for environment in np.flatnonzero(which) if mask else which.reshape(-1):
                 self._restart(int(environment))
 

@@ -77,8 +77,6 @@ def _advice(code: grpc.StatusCode, details: str) -> str:
         return "; if the server requires TLS, use https:// and tls=s2mia.Tls(ca, certificate, key)"
     if "WRONG_VERSION_NUMBER" in details:
         return "; the server has no TLS: use http://"
-    if "Connection refused" in details:
-        return "; no program listens at this address"
     return ""
 
 
