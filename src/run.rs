@@ -168,14 +168,15 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     };
     demand_resumable(folder)?;
     let (file, old) = settings_of_run(folder)?;
-    let own = folder.join(CONFIG);
-    if let (true, Ok(damaged)) = (file != own, plain_file::read(&own)) {
-        durable::keep_damaged(&own, &damaged)?;
-    }
-    request.resumed = Some(file);
+    request.resumed = Some(file.clone());
     let new = RunConfig::of(&request)?;
     resume::check(&old, &new)?;
     refuse_other_folder(&new, &old)?;
+    let own = folder.join(CONFIG);
+    if let (true, Ok(damaged)) = (file != own, plain_file::read(&own)) {
+        // The learner writes the settings there again.
+        durable::keep_damaged(&own, &damaged)?;
+    }
     Ok(new)
 }
 
