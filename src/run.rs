@@ -31,7 +31,7 @@ use crate::errors::Usage;
 use crate::process::shell;
 use crate::run::offered::Offered;
 use crate::run::run_path::{NewFolder, Others, demand_resumable};
-use crate::run::stored::settings_of_run;
+use crate::run::stored::{own_settings, settings_of_run};
 
 /// Version and commit of this program.
 pub(crate) const BUILD: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("S2MIA_GIT_COMMIT"));
@@ -90,7 +90,7 @@ pub(crate) struct PreparedRun {
     pub(crate) new: Option<NewFolder>,
 }
 
-/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder.
+/// Checks the settings and the run folder; starts nothing and writes nothing but a new folder, or a copy of damaged settings.
 /// `transport` limits the connection to an external environment.
 pub(crate) fn prepare(
     settings: &SettingsArguments,
@@ -99,7 +99,15 @@ pub(crate) fn prepare(
 ) -> anyhow::Result<PreparedRun> {
     let config = configure(settings, resumed.resume.as_deref())?;
     let others = if resumed.force { Others::Accepted } else { Others::Refused };
-    prepare_config(config, resumed.resume.as_deref(), others, transport)
+    let prepared = prepare_config(config, resumed.resume.as_deref(), others, transport)?;
+    let own = prepared.folder.join(CONFIG);
+    if prepared.launch.resume && own_settings(&prepared.folder).is_err() {
+        // The learner writes the settings there again.
+        if let Ok(damaged) = plain_file::read(&own) {
+            durable::keep_damaged(&own, &damaged)?;
+        }
+    }
+    Ok(prepared)
 }
 
 /// As [`prepare`], for settings that have been read: those of the run in the folder `resumed`, or of a new run.
@@ -168,15 +176,10 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     };
     demand_resumable(folder)?;
     let (file, old) = settings_of_run(folder)?;
-    request.resumed = Some(file.clone());
+    request.resumed = Some(file);
     let new = RunConfig::of(&request)?;
     resume::check(&old, &new)?;
     refuse_other_folder(&new, &old)?;
-    let own = folder.join(CONFIG);
-    if let (true, Ok(damaged)) = (file != own, plain_file::read(&own)) {
-        // The learner writes the settings there again.
-        durable::keep_damaged(&own, &damaged)?;
-    }
     Ok(new)
 }
 

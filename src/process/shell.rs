@@ -1,7 +1,7 @@
 //! Words of a shell: a leading `~` in arguments, which a shell replaces only at the beginning of a word, so that
 //! `run.dir=~/x` and `--out=~/x` keep it; and paths in the commands that messages print.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsString;
 use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Component, Path, PathBuf};
 
@@ -35,10 +35,12 @@ pub(crate) fn path(path: &Path) -> String {
     }
 }
 
-/// Why an argument that is no text is refused, where settings or task files would contain it.
-pub(crate) fn not_text(argument: &OsStr) -> String {
+/// Why arguments that are no text are refused, where settings or task files would contain one of them.
+pub(crate) fn not_text(arguments: &[OsString]) -> String {
+    let shown: Vec<String> = arguments.iter().map(|argument| format!("{argument:?}")).collect();
+    let shown = shown.join(" or ");
     format!(
-        "{argument:?} is not UTF-8, which this argument must be; rename the file or folder, or make a link to it"
+        "{shown} is not UTF-8, which this argument must be; rename the file or folder, or make a link to it"
     )
 }
 
@@ -81,6 +83,7 @@ fn expanded_for(path: &Path, home: Option<OsString>) -> Result<PathBuf, Usage> {
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsStr;
     use std::process::Command;
 
     use super::*;

@@ -1,5 +1,8 @@
 //! The command line: invalid input gives one line on stderr and status 2.
 
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt as _;
+
 use serde_json::{Value, json};
 
 use crate::runs::{Runs, command, failed, failure, refused, status, succeeded, success, text};
@@ -46,6 +49,16 @@ fn invalid_arguments_give_one_line_and_status_two() {
     ] {
         let line = refused(arguments);
         assert!(line.contains(part), "{arguments:?}: {line}");
+    }
+}
+
+#[test]
+fn arguments_that_are_no_text_are_named_where_text_is_needed() {
+    let name = OsStr::from_bytes(b"runs/a\xff");
+    for words in [&["task", "check"][..], &["task", "new"], &["train"], &["status"]] {
+        let line = failure(command(words).arg(name), 2);
+        let expected = "error: \"runs/a\\xFF\" is not UTF-8, which this argument must be;";
+        assert!(line.starts_with(expected), "{words:?}: {line}");
     }
 }
 

@@ -111,9 +111,8 @@ class Acting(Closing):
             indices = (count is None or which.max() < count) and np.unique(which).size == which.size
         if not mask and not indices:
             size, limit = ("the", "") if count is None else (count, f" below {count}")
-            raise ValueError(
-                f"reset needs a mask of {size} environments of type bool or different indices{limit}, not {environments}"
-            )
+            given = " ".join(np.array2string(which, threshold=8).split())
+            raise ValueError(f"reset needs a mask of {size} environments of type bool or different indices{limit}, not {given}")
         if count is not None:
             for environment in np.flatnonzero(which) if mask else which.reshape(-1):
                 self._restart(int(environment))

@@ -28,7 +28,7 @@ pub(crate) struct TaskNewArguments {
 pub(super) fn new(arguments: &TaskNewArguments) -> anyhow::Result<()> {
     if arguments.folder.to_str().is_none() {
         // No command could name the task.
-        return Err(Usage::new(shell::not_text(arguments.folder.as_os_str())).into());
+        return Err(Usage::new(shell::not_text(&[arguments.folder.clone().into()])).into());
     }
     let definition = match &arguments.from {
         None => TaskDefinition::example(),

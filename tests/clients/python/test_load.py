@@ -249,6 +249,8 @@ def test_before_the_first_step_wrong_environments_are_refused_as_well(trained, e
     team = s2mia.load(trained)
     with pytest.raises(ValueError, match="^reset needs a mask of the environments of type bool or different indices, not "):
         team.reset(environments)
+    with pytest.raises(ValueError, match=r"not \[0 0 0 \.\.\. 0 0 0\]$"):
+        team.reset(np.zeros(64, np.uint8))
     team.reset([True, False])
     team.reset([3, 1])
     assert team.act(np.zeros((2, 2, 9))).shape == (2, 2)
