@@ -90,7 +90,7 @@ fn a_resume_of_a_whole_run_warns_of_nothing_and_names_what_another_has_lost() {
     assert!(told.contains("provenance.jsonl has no lines of iterations 2"), "{told}");
     std::fs::write(&provenance, format!("{lines}half a line\n")).unwrap();
     let told = resume(&folder);
-    assert!(told.contains("provenance.jsonl has damaged lines: 1, which are moved to"), "{told}");
+    assert!(told.contains("provenance.jsonl has 1 damaged line, which is moved to"), "{told}");
     let kept = std::fs::read_to_string(folder.join("provenance.jsonl.damaged")).unwrap();
     assert_eq!(kept, "half a line\n");
     std::fs::remove_dir_all(folder.join("checkpoints/iter_00000004")).unwrap();

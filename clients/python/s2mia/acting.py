@@ -112,7 +112,10 @@ class Acting(Closing):
         if not mask and not indices:
             size, limit = ("the", "") if count is None else (count, f" below {count}")
             given = " ".join(np.array2string(which, threshold=8).split())
-            raise ValueError(f"reset needs a mask of {size} environments of type bool or different indices{limit}, not {given}")
+            raise ValueError(
+                f"reset needs a mask of {size} environments or indices{limit}, not {given}; "
+                "a mask has the type bool, and no index is given twice"
+            )
         if count is not None:
             for environment in np.flatnonzero(which) if mask else which.reshape(-1):
                 self._restart(int(environment))

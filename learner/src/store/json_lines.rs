@@ -60,8 +60,13 @@ impl JsonLines {
         if !damaged.is_empty() {
             let lines = damaged.iter().flat_map(|line| [line, b"\n".as_slice()]);
             let kept = durable::keep_damaged(path, &lines.collect::<Vec<_>>().concat())?;
-            let (count, kept) = (damaged.len(), kept.display());
-            tracing::warn!("{shown} has damaged lines: {count}, which are moved to {kept}");
+            let kept = kept.display();
+            match damaged.len() {
+                1 => tracing::warn!("{shown} has 1 damaged line, which is moved to {kept}"),
+                count => {
+                    tracing::warn!("{shown} has {count} damaged lines, which are moved to {kept}")
+                }
+            }
         }
         if content != text {
             durable::replace(path, &content)?;

@@ -239,17 +239,16 @@ def test_another_number_of_environments_needs_a_reset(trained):
 def test_environments_that_do_not_exist_or_are_named_twice_are_not_reset(trained, environments):
     team = s2mia.load(trained)
     team.act(np.zeros((3, 2, 9)))
-    refusal = "^reset needs a mask of 3 environments of type bool or different indices below 3, not "
-    with pytest.raises(ValueError, match=refusal):
+    with pytest.raises(ValueError, match="^reset needs a mask of 3 environments or indices below 3, not "):
         team.reset(environments)
 
 
 @pytest.mark.parametrize("environments", [[-1], [0.5], "first", [1, 0, 1], [[True]], [[0]]])
 def test_before_the_first_step_wrong_environments_are_refused_as_well(trained, environments):
     team = s2mia.load(trained)
-    with pytest.raises(ValueError, match="^reset needs a mask of the environments of type bool or different indices, not "):
+    with pytest.raises(ValueError, match="^reset needs a mask of the environments or indices, not "):
         team.reset(environments)
-    with pytest.raises(ValueError, match=r"not \[0 0 0 \.\.\. 0 0 0\]$"):
+    with pytest.raises(ValueError, match=r"not \[0 0 0 \.\.\. 0 0 0\]; a mask has the type bool, and no index is given twice$"):
         team.reset(np.zeros(64, np.uint8))
     team.reset([True, False])
     team.reset([3, 1])
