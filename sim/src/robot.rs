@@ -48,7 +48,7 @@ pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orien
 pub(crate) use neighbourhood::Neighbourhood;
 #[cfg(test)]
 pub(crate) use softness::Reference;
-pub(crate) use softness::{Integration, Softness, SoftnessOverride, Spring};
+pub(crate) use softness::{ImplicitForces, Integration, Softness, SoftnessOverride, Spring};
 pub(crate) use surface::{ContactOverride, ContactPlan, Surface};
 
 /// A robot: its model and the settings that MJCF does not contain.
@@ -105,7 +105,7 @@ fn damp(motor: &mut MotorPlan, layout: &Layout) {
     if ratio > 0.0 && servo.gain == -stiffness && motor.gear != 0.0 {
         let inverse = match (motor.tendon, motor.moved.only_hinge()) {
             (Some(tendon), _) => layout.tendon_inverses[tendon] as f32,
-            (None, Some(hinge)) => layout.hinges[hinge].inverse_inertia,
+            (None, Some(hinge)) => layout.hinges[hinge].axis_inverse_inertia,
             (None, None) => return,
         };
         let inertia = 1.0 / (inverse * motor.gear * motor.gear);
@@ -177,7 +177,13 @@ impl Robot {
         let mut blueprint = model::read(&row.mjcf, &mut folder).map_err(refused)?;
         let Physics { integration, limits, contacts, margin, self_contacts, contact_compliance } =
             row.physics;
-        blueprint.integration = integration.unwrap_or(blueprint.integration);
+        if let Some(other) = integration.filter(|other| *other != blueprint.integration) {
+            blueprint.implicit = match other {
+                Integration::Euler => ImplicitForces::Damping,
+                Integration::RungeKutta => ImplicitForces::Nothing,
+            };
+            blueprint.integration = other;
+        }
         blueprint.soften(ContactOverride { softness: contacts, margin }, &limits);
         blueprint.contacts.links_touch =
             self_contacts.unwrap_or(LINKS_TOUCH && contact_compliance.is_none());

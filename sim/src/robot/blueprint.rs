@@ -9,7 +9,7 @@ use rapier3d::prelude::MassProperties;
 use super::activation::Activation;
 use super::coupling::{Combination, ConnectionPlan, EqualityPlan, TendonPlan, Thrust};
 use super::fluid::Fluid;
-use super::softness::{Integration, Softness, SoftnessOverride};
+use super::softness::{ImplicitForces, Integration, Softness, SoftnessOverride};
 use super::surface::{ContactOverride, Surface};
 use crate::scene::Shape;
 pub(crate) use contacts::{Cone, ContactRules, GroundForm, GroundPlan, HeightField, Law, PairPlan};
@@ -23,8 +23,7 @@ pub(crate) struct Blueprint {
     pub(crate) gravity: Vector,
     /// MuJoCo's integrator for the model.
     pub(crate) integration: Integration,
-    /// Whether MuJoCo's integrator takes implicit forces of servos and tendons.
-    pub(crate) is_implicit: bool,
+    pub(crate) implicit: ImplicitForces,
     /// A fluid that acts on the bodies.
     pub(crate) fluid: Option<Fluid>,
     /// Shapes that are fixed to the world and can touch the robot, in the order of the model.

@@ -146,6 +146,8 @@ pub(crate) struct HingeMap {
     pub(crate) axis: usize,
     /// Inverse inertia with all other joints free, in the rest pose, 1/(kg m^2): MuJoCo's `dof_invweight0`.
     pub(crate) inverse_inertia: f32,
+    /// The same of this axis alone: `inverse_inertia` of an axis of a ball joint is the mean of its three.
+    pub(crate) axis_inverse_inertia: f32,
 }
 
 /// Dry friction of a free joint.
@@ -161,6 +163,11 @@ pub(crate) struct FreeFriction {
 }
 
 impl HingeMap {
+    /// A hinge whose inertia is not known yet.
+    fn new(plan: Hinge, link: usize, dof: usize, axis: usize) -> Self {
+        Self { plan, link, dof, axis, inverse_inertia: 0.0, axis_inverse_inertia: 0.0 }
+    }
+
     /// Units of its coordinate and of its torque; a slide has a force.
     pub(crate) fn units(&self) -> [&'static str; 2] {
         match self.plan.motion {
@@ -250,7 +257,7 @@ impl Layout {
             let axis = HingeAxis { free, sign: 1.0, frame: Rotation::IDENTITY };
             let plan = Hinge { axis, range: None, ..plan.clone() };
             let (dof, axis) = (dof + free, 3 + free);
-            self.hinges.push(HingeMap { plan, link, dof, axis, inverse_inertia: 0.0 });
+            self.hinges.push(HingeMap::new(plan, link, dof, axis));
         }
     }
 
@@ -304,7 +311,7 @@ impl Layout {
                     Motion::Translation => hinge.axis.free,
                 };
                 let plan = hinge.clone();
-                self.hinges.push(HingeMap { plan, link, dof, axis, inverse_inertia: 0.0 });
+                self.hinges.push(HingeMap::new(plan, link, dof, axis));
                 MapKind::Hinge { axis, sign: hinge.axis.sign }
             }
             JointPlan::Ball(ball) => {

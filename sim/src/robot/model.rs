@@ -22,7 +22,7 @@ use super::blueprint::{Blueprint, Law, MotorPlan};
 use super::document::Element;
 use super::fluid::Fluid;
 use super::folder::Folder;
-use super::softness::Integration;
+use super::softness::ImplicitForces;
 use context::Context;
 pub(super) use flat::flat;
 use geoms::Geom;
@@ -62,7 +62,7 @@ pub(super) fn read(mjcf: &str, folder: &mut Folder<'_>) -> Result<Blueprint, Str
         timestep_secs: context.options.timestep_secs,
         gravity: context.options.gravity,
         integration: context.options.integration,
-        is_implicit: context.options.is_implicit,
+        implicit: context.options.implicit,
         fluid,
         grounds,
         contacts,
@@ -87,18 +87,15 @@ fn differences(context: &Context, motors: &[MotorPlan]) -> Vec<String> {
     if count > 0 {
         found.push(format!("`maxhullvert` has no effect: {count} hulls have more corners"));
     }
-    if context.options.integration == Integration::RungeKutta {
-        return found;
-    }
+    let implicit = context.options.implicit;
     let has_speed_term = |motor: &MotorPlan| motor.servo.is_some_and(|own| own.bias[2] != 0.0);
     let damped = motors.iter().filter(|motor| has_speed_term(motor));
     let count = damped.filter(|motor| motor.moved.only_hinge().is_some()).count();
-    let is_implicit = context.options.is_implicit;
-    if !is_implicit && count > 0 {
+    if implicit == ImplicitForces::Damping && count > 0 {
         let what = "the speed terms of servos are implicit, as with integrator=\"implicitfast\"";
         found.push(format!("{what}: {count} actuators"));
     }
-    if is_implicit && context.options.fluid.acts() {
+    if implicit == ImplicitForces::All && context.options.fluid.acts() {
         found.push("the forces of the fluid are explicit, as with integrator=\"Euler\"".to_owned());
     }
     found

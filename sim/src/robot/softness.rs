@@ -14,6 +14,17 @@ pub(crate) enum Integration {
     RungeKutta,
 }
 
+/// Forces that a step of MuJoCo's integrator takes at the end of the step, to first order in the velocities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum ImplicitForces {
+    /// None: Runge-Kutta, or Euler with the flag `eulerdamp` disabled.
+    Nothing,
+    /// Euler: the damping of joints, and here also the speed terms of servos of one joint.
+    Damping,
+    /// Also the forces of servos and tendons on several joints, and those of positive speed terms.
+    All,
+}
+
 /// MuJoCo's `solref` and `solimp`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Softness {

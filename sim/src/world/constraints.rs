@@ -32,7 +32,9 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::PhysicsWorld;
 
 use super::HingeDrives;
-use crate::robot::{FreeFriction, HingeMap, Integration, Layout, Robot, unit, wide};
+use crate::robot::{
+    FreeFriction, HingeMap, ImplicitForces, Integration, Layout, Robot, unit, wide,
+};
 use contacts::Touching;
 use gyroscopic::LoneLink;
 use matrix::{Factor, dot};
@@ -43,8 +45,7 @@ use runge_kutta::RungeKutta;
 /// The constraints of one robot, and memory for a step.
 pub(crate) struct Constraints {
     integration: Integration,
-    /// Whether forces of servos and tendons on several hinges are implicit, too.
-    is_implicit: bool,
+    implicit: ImplicitForces,
     step_secs: f64,
     touching: Touching,
     /// Links whose gyroscopic forces are implicit.
@@ -65,14 +66,13 @@ pub(crate) struct Constraints {
 impl Constraints {
     /// Constraints of a robot at rest, for physics steps of `step_secs`.
     pub(crate) fn new(robot: &Robot, step_secs: f32) -> Self {
-        let is_implicit =
-            robot.blueprint.is_implicit && robot.blueprint.integration == Integration::Euler;
+        let implicit = robot.blueprint.implicit;
         Self {
             integration: robot.blueprint.integration,
-            is_implicit,
+            implicit,
             step_secs: f64::from(step_secs),
             touching: Touching::new(robot),
-            lone: if is_implicit { LoneLink::all(robot) } else { Vec::new() },
+            lone: if implicit == ImplicitForces::All { LoneLink::all(robot) } else { Vec::new() },
             start: Motion::default(),
             problem: ConstraintProblem::default(),
             implicit_mass: Factor::default(),
@@ -127,7 +127,7 @@ impl Constraints {
         is_finite
     }
 
-    /// Computes the accelerations, with MuJoCo's implicit damping unless the integrator is that of Runge and Kutta. Returns
+    /// Computes the accelerations, with the forces that MuJoCo's integrator takes implicitly. Returns
     /// whether a step may have so many contacts.
     fn accelerate(
         &mut self,
@@ -174,12 +174,12 @@ impl Constraints {
             multibody.damping().iter().zip(&self.start.speeds).enumerate()
         {
             let damping = f64::from(*damping);
-            if self.integration == Integration::Euler {
+            if self.implicit != ImplicitForces::Nothing {
                 implicit[index * size + index] += self.step_secs * damping;
             }
             self.problem.pull[index] -= damping * speed;
         }
-        if self.is_implicit {
+        if self.implicit == ImplicitForces::All {
             self.add_shared_dampings(layout, drives);
         }
         for (hinge, torque) in layout.hinges.iter().zip(drives.torques()) {
@@ -199,7 +199,7 @@ impl Constraints {
             let force = (sign * self.start.actuation(dof, gravity)) as f32;
             let [change, damping] = drives.count(index, force, hinge.plan.torque_range);
             self.problem.pull[dof] += sign * f64::from(change);
-            if self.integration == Integration::Euler {
+            if self.implicit != ImplicitForces::Nothing {
                 let diagonal = dof * self.start.speeds.len() + dof;
                 self.implicit_mass.matrix[diagonal] -= self.step_secs * f64::from(damping);
             }

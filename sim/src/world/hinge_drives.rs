@@ -7,7 +7,8 @@
 use rapier3d::dynamics::Multibody;
 
 use crate::robot::{
-    Blueprint, Combination, HingeMap, Law, Layout, MotorPlan, Robot, Spring, TendonPlan, Thrust,
+    Blueprint, Combination, HingeMap, ImplicitForces, Law, Layout, MotorPlan, Robot, Spring,
+    TendonPlan, Thrust,
 };
 
 /// Stiffness of the spring that applies torques to a hinge, N m / rad: the change of the torque per radian.
@@ -29,6 +30,8 @@ pub(crate) struct HingeDrives {
     drives: Vec<Drive>,
     /// Whether a motor acts on a site.
     has_thrusts: bool,
+    /// Less of the motors' damping is no part of the step, N m s / rad.
+    least_damping: f32,
 }
 
 /// A motor with its state.
@@ -135,6 +138,10 @@ impl HingeDrives {
             },
             drives: vec![Drive::default(); layout.hinges.len()],
             has_thrusts: blueprint.motors.iter().any(|motor| motor.thrust.is_some()),
+            least_damping: match blueprint.implicit {
+                ImplicitForces::All => f32::NEG_INFINITY,
+                ImplicitForces::Nothing | ImplicitForces::Damping => 0.0,
+            },
         }
     }
 
@@ -280,7 +287,7 @@ impl HingeDrives {
     /// Computes the torques of motors and tendons. The part of a joint's servo that depends on the speed is damping, which
     /// the engine integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
     fn actuate(&mut self, hinges: &[HingeMap]) {
-        let Self { motors, tendons, drives, has_thrusts, .. } = self;
+        let Self { motors, tendons, drives, has_thrusts, least_damping, .. } = self;
         for motor in motors {
             let mut input = motor.input(self.step_secs);
             let (turn, is_limited, thrust) = (motor.turn, &mut motor.is_limited, &mut motor.thrust);
@@ -317,7 +324,7 @@ impl HingeDrives {
             {
                 (drive.torque, drive.damping) = (drive.torque.clamp(low, high), 0.0);
             }
-            drive.damping = drive.damping.max(0.0);
+            drive.damping = drive.damping.max(*least_damping);
             drive.effort = drive.torque;
         }
         for tendon in tendons {

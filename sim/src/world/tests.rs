@@ -6,6 +6,7 @@ mod conditions;
 mod contacts;
 mod defaults;
 mod hostile;
+mod integrators;
 mod invalid;
 mod loaded;
 mod one_document;

@@ -116,6 +116,8 @@ pub(crate) struct ContactRules {
     pub(crate) pairs: Vec<PairPlan>,
     /// Bodies that do not touch, the one with the smaller index first.
     pub(crate) excluded: Vec<[usize; 2]>,
+    /// Whether bodies touch their parents, as without MuJoCo's flag `filterparent`.
+    pub(crate) parents_touch: bool,
     /// Whether links of a robot touch each other and its base. Other shapes that can touch, such as those of different robots, always do.
     pub(crate) links_touch: bool,
 }
@@ -157,8 +159,8 @@ impl Blueprint {
         let bodies = [one.body.min(other.body), one.body.max(other.body)];
         a != b
             && surfaces.is_some_and(|(one, other)| one.meets(&other))
-            && self.parent_of(a) != Some(b)
-            && self.parent_of(b) != Some(a)
+            && (self.contacts.parents_touch
+                || (self.parent_of(a) != Some(b) && self.parent_of(b) != Some(a)))
             && !self.contacts.excluded.contains(&bodies)
     }
 

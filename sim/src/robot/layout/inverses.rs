@@ -69,6 +69,7 @@ impl Layout {
         let inverse_inertias = robot.dof_inverse_inertia(bodies);
         for hinge in &mut self.hinges {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];
+            hinge.axis_inverse_inertia = hinge.inverse_inertia;
         }
         for ball in &self.balls {
             let rotations = &mut self.hinges[ball.first..ball.first + 3];

@@ -40,11 +40,13 @@ struct Rest {
 #[derive(PartialEq)]
 enum Kept {
     Whole,
+    /// A mesh, which its class may name.
+    Mesh(String),
     /// All but these attributes, which replace the mesh that it is fitted to.
     Fitted(Vec<(String, String)>),
     Nothing,
-    /// Its existence: a base without any shape would not be a link.
-    Mark,
+    /// Its existence, with this mesh: a base without any shape would not be a link.
+    Mark(Option<String>),
 }
 
 /// Corners of the meshes that remain, by name; without a hull for a mark.
@@ -81,7 +83,7 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
             // A path without its sites is none, and no length has an effect.
             "tendon" => section.children.retain(|child| child.tag != "spatial"),
             "asset" => assets(section, (&context, folder), &hulls)?,
-            "default" => without_materials(section),
+            "default" => without_assets(section),
             _ => {}
         }
     }
@@ -105,12 +107,15 @@ fn kept_shapes(
             shapes.push_back(Kept::Fitted(fitted(geom, context, folder)?));
             continue;
         }
-        let is_kept = !geom.is_mesh() || geom.collides();
-        if let Some(name) = geom.element.text("mesh").filter(|_| geom.is_mesh() && is_kept) {
-            let hull = context.meshes.hull(&geom.element, folder)?;
-            hulls.insert(name.to_owned(), Some(hull));
-        }
-        shapes.push_back(if is_kept { Kept::Whole } else { Kept::Nothing });
+        shapes.push_back(match geom.element.text("mesh").filter(|_| geom.is_mesh()) {
+            _ if !geom.is_mesh() => Kept::Whole,
+            Some(name) if geom.collides() => {
+                let hull = context.meshes.hull(&geom.element, folder)?;
+                hulls.insert(name.to_owned(), Some(hull));
+                Kept::Mesh(name.to_owned())
+            }
+            _ => Kept::Nothing,
+        });
     }
     Ok(shapes)
 }
@@ -182,9 +187,10 @@ fn mark_base(bodies: &[Body], rests: &mut [Rest], hulls: &mut Hulls) {
     }
     let first = rest.shapes.iter().position(|kept| *kept == Kept::Nothing);
     let Some(first) = first else { return };
-    rest.shapes[first] = Kept::Mark;
-    if let Some(name) = body.geoms[first].element.text("mesh") {
-        hulls.entry(name.to_owned()).or_insert(None);
+    let mesh = body.geoms[first].element.text("mesh").map(str::to_owned);
+    rest.shapes[first] = Kept::Mark(mesh.clone());
+    if let Some(name) = mesh {
+        hulls.entry(name).or_insert(None);
     }
 }
 
@@ -208,8 +214,12 @@ fn assets(
         };
         if let Some(hull) = hulls.get(&name) {
             let vertex = hull.as_ref().map_or_else(|| MARK.to_owned(), |hull| corners(hull));
-            let attributes = [("name", name), ("vertex", vertex)];
-            asset.attributes = attributes.map(|(name, text)| (name.to_owned(), text)).into();
+            // It has no effect, which is reported.
+            let most =
+                context.classes.resolve(&asset, None)?.text("maxhullvert").map(str::to_owned);
+            let attributes = [("name", name), ("vertex", vertex)].into_iter();
+            let attributes = attributes.chain(most.map(|most| ("maxhullvert", most)));
+            asset.attributes = attributes.map(|(name, text)| (name.to_owned(), text)).collect();
             section.children.push(asset);
         }
     }
@@ -236,13 +246,16 @@ fn corners(hull: &Hull) -> String {
     text(hull.points.as_flattened())
 }
 
-/// Removes the defaults of meshes, which have their final coordinates, and of materials.
-fn without_materials(default: &mut Element) {
+/// Removes the defaults of meshes, which have their final coordinates, of materials, and of the meshes of shapes, which the
+/// shapes themselves name.
+fn without_assets(default: &mut Element) {
     default.children.retain(|child| !["mesh", "material"].contains(&child.tag.as_str()));
     for child in &mut default.children {
-        child.attributes.remove("material");
+        child
+            .attributes
+            .retain(|name, _| !["material", "mesh", "fitscale"].contains(&name.as_str()));
         if child.tag == "default" {
-            without_materials(child);
+            without_assets(child);
         }
     }
 }
@@ -270,7 +283,12 @@ fn rewrite(
                     child.attributes.retain(|name, _| !FITTED.contains(&name.as_str()));
                     child.attributes.extend(attributes);
                 }
-                Some(Kept::Mark) => {
+                Some(Kept::Mesh(mesh)) => {
+                    child.attributes.remove("material");
+                    child.attributes.insert("mesh".to_owned(), mesh);
+                }
+                Some(Kept::Mark(mesh)) => {
+                    child.attributes.extend(mesh.map(|mesh| ("mesh".to_owned(), mesh)));
                     let seen = [("contype", "0"), ("conaffinity", "0"), ("mass", "0")];
                     child.attributes.remove("material");
                     child.attributes.extend(seen.map(|(k, v)| (k.to_owned(), v.to_owned())));

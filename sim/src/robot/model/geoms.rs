@@ -42,7 +42,7 @@ const KNOWN: [&str; 20] = [
 /// Types with a size, all but the first also between two points.
 const SOLIDS: [&str; 5] = ["sphere", "capsule", "cylinder", "box", "ellipsoid"];
 /// Types whose size other elements state.
-const UNSIZED: [&str; 3] = ["mesh", "hfield", "sdf"];
+const UNSIZED: [&str; 2] = ["mesh", "hfield"];
 /// Density of shapes that state neither density nor mass, kg/m^3.
 const WATER: f64 = 1000.0;
 

@@ -6,7 +6,7 @@ use super::super::blueprint::{Cone, ContactRules};
 use super::super::document::{Element, check_names};
 use super::super::fluid::Fluid;
 use super::super::frame::{Angles, vector};
-use super::super::softness::Integration;
+use super::super::softness::{ImplicitForces, Integration};
 use super::super::surface::ContactOverride;
 use super::blockers::Blockers;
 
@@ -113,11 +113,12 @@ const FLAGS: [&str; 11] = [
     "autoreset",
 ];
 /// Flags that count as enabled, with what then differs from the model.
-const KEPT: [(&str, &str); 3] = [
-    ("filterparent", "links do not touch their parents, as with the flag `filterparent`"),
-    ("refsafe", "the time constant of `solref` is at least two steps, as with the flag `refsafe`"),
-    ("eulerdamp", "the damping of joints is implicit, as with the flag `eulerdamp`"),
-];
+const KEPT: [(&str, &str); 1] = [(
+    "refsafe",
+    "the time constant of `solref` is at least two steps, as with the flag `refsafe`",
+)];
+/// Flags that count as the model has them, besides [`CONSTRAINTS`].
+const READ: [&str; 3] = ["eulerdamp", "filterparent", "gravity"];
 /// Flags that must be enabled. MuJoCo 4.0.0 has `spring` and `damper` in place of `passive`.
 const ENABLED: [&str; 5] = ["passive", "spring", "damper", "clampctrl", "actuation"];
 /// Flags that must be disabled.
@@ -166,8 +167,7 @@ pub(super) struct Options {
     pub(super) timestep_secs: f64,
     pub(super) gravity: Vector,
     pub(super) integration: Integration,
-    /// Whether MuJoCo's integrator takes implicit forces of actuators and tendons.
-    pub(super) is_implicit: bool,
+    pub(super) implicit: ImplicitForces,
     pub(super) has_contacts: bool,
     pub(super) contacts: ContactRules,
     /// The fluid that fills the world, without boxes.
@@ -218,15 +218,20 @@ impl Options {
             integration: blockers
                 .keep(option.word("integrator", &INTEGRATORS))
                 .unwrap_or(Integration::Euler),
-            is_implicit: option.text("integrator").is_some_and(|name| name.starts_with("implicit")),
+            implicit: match option.text("integrator") {
+                Some("RK4") => ImplicitForces::Nothing,
+                Some("implicit" | "implicitfast") => ImplicitForces::All,
+                _ if on("eulerdamp") == Some(false) => ImplicitForces::Nothing,
+                _ => ImplicitForces::Damping,
+            },
             has_contacts: constraints && contacts,
             has_equalities: constraints && equalities,
             has_limits: constraints && limits,
             has_friction: constraints && friction,
-            contacts: contact_rules(&option, blockers),
+            contacts: contact_rules(&option, &flags, blockers),
             fluid: fluid(&option, blockers),
         };
-        let differences = blockers.keep(differences(&option, &flags));
+        let differences = blockers.keep(differences(&compiler, &option, &flags));
         (options, differences.unwrap_or_default())
     }
 }
@@ -298,7 +303,7 @@ fn check_fixed(compiler: &Element, option: &Element, blockers: &Blockers) {
 /// Refuses unknown flags, and those that must be enabled or disabled and are not.
 fn check_flags(flags: &Element, blockers: &Blockers) {
     let kept = KEPT.map(|(flag, _)| flag);
-    blockers.keep(flags.only(&[&FLAGS, &kept, &ENABLED, &DISABLED, &CONSTRAINTS, &["gravity"]]));
+    blockers.keep(flags.only(&[&FLAGS, &kept, &ENABLED, &DISABLED, &CONSTRAINTS, &READ]));
     let fixed = ENABLED.map(|flag| (flag, false)).into_iter();
     for (flag, value) in fixed.chain(DISABLED.map(|flag| (flag, true))) {
         if blockers.keep(flags.flag(flag)).flatten() == Some(value) {
@@ -342,13 +347,14 @@ fn mesh_folder(root: &Element) -> String {
     root.all("compiler").filter_map(stated).last().unwrap_or_default()
 }
 
-fn contact_rules(option: &Element, blockers: &Blockers) -> ContactRules {
+fn contact_rules(option: &Element, flags: &Element, blockers: &Blockers) -> ContactRules {
     ContactRules {
         cone: blockers.keep(option.word("cone", &CONES)).unwrap_or(Cone::Pyramidal),
         impratio: blockers.number(option, "impratio", 1.0),
         stated: ContactOverride::default(),
         pairs: Vec::new(),
         excluded: Vec::new(),
+        parents_touch: blockers.keep(flags.flag("filterparent")).flatten() == Some(false),
         links_touch: false,
     }
 }
@@ -362,15 +368,23 @@ fn fluid(option: &Element, blockers: &Blockers) -> Fluid {
     }
 }
 
-fn differences(option: &Element, flags: &Element) -> Result<Vec<String>, String> {
+fn differences(
+    compiler: &Element,
+    option: &Element,
+    flags: &Element,
+) -> Result<Vec<String>, String> {
     let mut left_out = Vec::new();
+    if compiler.flag("fusestatic")? == Some(true) {
+        let what =
+            "bodies without joints are not fused: their contacts are as with fusestatic=\"false\"";
+        left_out.push(what.to_owned());
+    }
     if option.integer("noslip_iterations", 0)? != 0 {
         left_out.push("there is no solver that prevents slip".to_owned());
     }
-    let iterations = option.integer("iterations", 100)?;
-    if iterations < 10 {
-        left_out
-            .push(format!("constraints are solved to convergence, not in {iterations} iterations"));
+    let count = option.integer("iterations", 100)?;
+    if count < 10 {
+        left_out.push(format!("constraints are solved to convergence, not in {count} iterations"));
     }
     if option.text("integrator") == Some("implicit") {
         let what = "the integrator is `implicitfast`: only single free bodies have derivatives of gyroscopic forces";

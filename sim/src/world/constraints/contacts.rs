@@ -177,8 +177,8 @@ impl Touching {
                 let is_child = |child: usize, parent| self.parents[child] == Some(parent);
                 (self.rules.links_touch || self.trees[one] != self.trees[other])
                     && one != other
-                    && !is_child(one, other)
-                    && !is_child(other, one)
+                    && (self.rules.parents_touch
+                        || (!is_child(one, other) && !is_child(other, one)))
             }
             (TouchKind::Link(_), TouchKind::Ground) | (TouchKind::Ground, TouchKind::Link(_)) => {
                 let is_land = |shape: &TouchShape| {

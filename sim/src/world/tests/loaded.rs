@@ -296,11 +296,20 @@ fn what_is_left_out_is_listed() {
     );
     let one_way = mjcf.replace("<geom size", "<geom conaffinity=\"0\" size");
     assert_eq!(left_out(&one_way, Some(false)), "");
-    let flags = "<option><flag refsafe=\"disable\" eulerdamp=\"enable\"/></option><worldbody>";
-    assert_eq!(
-        left_out(&mjcf.replace("<worldbody>", flags), None),
-        "the time constant of `solref` is at least two steps, as with the flag `refsafe`"
-    );
+    for (stated, expected) in [
+        (
+            "<option><flag refsafe=\"disable\" eulerdamp=\"enable\"/></option>",
+            "the time constant of `solref` is at least two steps, as with the flag `refsafe`",
+        ),
+        (
+            "<compiler fusestatic=\"true\"/>",
+            "bodies without joints are not fused: their contacts are as with fusestatic=\"false\"",
+        ),
+        ("<compiler fusestatic=\"false\"/>", ""),
+    ] {
+        let mjcf = mjcf.replace("<worldbody>", &format!("{stated}<worldbody>"));
+        assert_eq!(left_out(&mjcf, None), expected);
+    }
 }
 
 #[test]

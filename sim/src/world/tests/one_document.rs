@@ -192,6 +192,31 @@ fn fitted_shapes_and_height_fields_of_files_are_stated() {
     assert_near("a fitted capsule", &corner(got.1), &corner(expected.1));
 }
 
+#[test]
+fn shapes_whose_class_names_their_mesh_remain_in_one_document() {
+    let classes = "<default><default class=\"fitted\"><geom type=\"capsule\" mesh=\"trough\" fitscale=\"0.5\"/>\
+        <default class=\"whole\"><geom type=\"mesh\" mesh=\"wedge\"/></default></default></default><asset>";
+    let shapes =
+        "<geom class=\"fitted\" pos=\"0 0 0.2\"/><geom class=\"whole\" pos=\"0.1 0 0.2\"/>";
+    let text = assert_same(
+        &WALKER
+            .replace("<asset>", classes)
+            .replace("<geom type=\"box\" size=\"0.1 0.2 0.3\"/>", shapes),
+    );
+    assert!(!text.contains("trough"), "{text}");
+}
+
+#[test]
+fn the_limit_of_the_corners_of_a_hull_is_reported_of_one_document() {
+    let limited = "<asset><mesh name=\"limited\" file=\"sub/trough.obj\" maxhullvert=\"4\"/>";
+    let document =
+        WALKER.replace("<asset>", limited).replace("mesh=\"scaled\"", "mesh=\"limited\"");
+    assert_same(&document);
+    let (_, flat, _) = both(&document);
+    let left_out = flat.left_out();
+    assert!(left_out.iter().any(|what| what.contains("maxhullvert")), "{left_out:?}");
+}
+
 /// MuJoCo 4.0.0 reads meshes from these folders.
 #[test]
 fn the_last_folder_of_meshes_counts_and_of_one_element_that_of_meshes_alone() {

@@ -33,6 +33,10 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
         (geom("size=\"0.1\" class=\"\""), "line 4, <geom class=\"\">: no default has the class ``"),
         (geom("type=\"hfield\""), "line 4, <geom>: a height field must be fixed to the world"),
         (
+            geom("type=\"sdf\" size=\".1 .2 .3\""),
+            "line 4, <geom>: the type `sdf` is not supported; use a box or a mesh",
+        ),
+        (
             geom("type=\"mesh\" mesh=\"lost\""),
             "line 4, <geom>: no mesh has the name `lost`; there is none",
         ),

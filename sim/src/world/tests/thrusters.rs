@@ -26,14 +26,14 @@ const JET: &str = "<general site=\"tip\" gear=\"1 2 3 .1 .2 .3\" ctrlrange=\"-1 
     <position joint=\"knee\" kp=\"2\" kv=\".1\" ctrlrange=\"-1 1\"/>";
 
 /// A document without a floor, with a step of two milliseconds.
-fn flying(option: &str, bodies: &str, actuators: &str) -> String {
+pub(super) fn flying(option: &str, bodies: &str, actuators: &str) -> String {
     format!(
         "<mujoco><compiler angle=\"radian\"/><option timestep=\".002\" {option}/><worldbody>{bodies}</worldbody>\
          <actuator>{actuators}</actuator></mujoco>"
     )
 }
 
-fn coordinates_after(steps: usize, mjcf: &str, controls: &[f32]) -> Vec<f32> {
+pub(super) fn coordinates_after(steps: usize, mjcf: &str, controls: &[f32]) -> Vec<f32> {
     let mut world = world_of(mjcf);
     for _ in 0..steps {
         assert!(world.step(controls));
