@@ -136,10 +136,12 @@ pub(crate) fn prepare_config(
     config.resolved.set(keys::FILLED_IN, offered.description.as_str(), keys::URL);
     config.resolved.set("run.dir", folder.display().to_string(), "run folder");
     let mut launch = launch(&config, offered, &folder, fingerprint);
-    if let Some(folder) = resumed {
+    // A run that ended before it wrote its manifest has done nothing and begins in its folder.
+    let begun = resumed.filter(|folder| RunFolder::holds_run(folder));
+    if let Some(folder) = begun {
         resume::demand_same_program(folder, fingerprint, launch.config_sha256)?;
     }
-    launch.resume = resumed.is_some();
+    launch.resume = begun.is_some();
     launch.start = start::policies(&config.resolved, resumed)?;
     if !launch.resume {
         message_steps::fit(&mut config, &mut launch)?;
@@ -220,6 +222,9 @@ fn launch(config: &RunConfig, offered: Offered, folder: &Path, fingerprint: Dige
     }
 }
 
+/// Field of a run's manifest: names of the agents of another program's environment.
+pub(crate) const AGENTS: &str = "agents";
+
 /// The command that begins a run with the settings of the one in `folder`: with those that differ from its task's, preset's
 /// and algorithm's, or for a task of the user's own, whose file may have changed, with the run's own file. Policies from which
 /// the run started are those that the folder keeps.
@@ -266,7 +271,7 @@ fn divergence_remedy(config: &RunConfig) -> &'static str {
 
 /// The fields of the manifest besides the learner's own.
 fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
-    json!({
+    let mut manifest = json!({
         "program": "s2mia",
         "version": env!("CARGO_PKG_VERSION"),
         "git_commit": env!("S2MIA_GIT_COMMIT"),
@@ -276,5 +281,11 @@ fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
         "algorithm": config.resolved.text("algorithm"),
         "preset": config.resolved.text("preset"),
         "seed": config.run.seed,
-    })
+    });
+    if !config.environment.url.is_empty() {
+        // Without the other program, nothing else tells them.
+        let names = offered.spec.agents.iter().map(|agent| agent.name.as_str());
+        manifest[AGENTS] = names.collect();
+    }
+    manifest
 }

@@ -11,7 +11,8 @@ mod header;
 use std::cell::RefCell;
 use std::ops::Range;
 
-use proto::{ActionSpec, EnvironmentSpec, EpisodePosition, View};
+use proto::name::LONGEST;
+use proto::{ActionSpec, Digest, EnvironmentSpec, EpisodePosition, View};
 use sim::{EnvironmentBatch, ObservationNorm, Outcome, SimError, StateError, standardise};
 
 use crate::client::{EnvironmentClient, Play};
@@ -137,9 +138,13 @@ fn spec_of_run(offered: &EnvironmentSpec, states: States) -> Option<EnvironmentS
             (agent.action.low, agent.action.high) = (-1.0, 1.0);
         }
     }
+    let mut state_kind = format!("outside/{}/{kind}{ranges}", states.name());
+    if state_kind.len() > LONGEST {
+        state_kind = format!("outside/{}/{}", states.name(), Digest::of(state_kind.as_bytes()));
+    }
     Some(EnvironmentSpec {
         agents,
-        state_kind: format!("outside/{}/{kind}{ranges}", states.name()),
+        state_kind,
         max_state_bytes: u32::try_from(more.checked_add(HEADER_BYTES as u64)?).ok()?,
         ..offered.clone()
     })

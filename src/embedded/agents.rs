@@ -4,6 +4,8 @@ use policy::ActorPolicy;
 use serde_json::{Value, json};
 use sim::EnvironmentBatch;
 
+use crate::run::AGENTS;
+
 /// The agents of a task, in their order.
 pub(super) fn of_task(world: &dyn EnvironmentBatch) -> Vec<Value> {
     let agents = world.description().agents.iter().enumerate();
@@ -22,11 +24,14 @@ pub(super) fn of_task(world: &dyn EnvironmentBatch) -> Vec<Value> {
     agents.collect()
 }
 
-/// The agents of an external environment, of which only that program knows names and limits.
-pub(super) fn of_policies(policies: &[ActorPolicy]) -> Vec<Value> {
+/// The agents of an external environment, of which only that program knows features and limits. The run's `manifest` has
+/// their names.
+pub(super) fn of_policies(policies: &[ActorPolicy], manifest: Option<&Value>) -> Vec<Value> {
+    let names = manifest.and_then(|manifest| manifest[AGENTS].as_array());
     let agents = policies.iter().enumerate().map(|(index, policy)| {
+        let name = names.and_then(|names| names.get(index)?.as_str());
         json!({
-            "name": format!("agent_{index}"),
+            "name": name.map_or_else(|| format!("agent_{index}"), str::to_owned),
             "joints": [],
             "features": [],
             "action_size": policy.action_size(),

@@ -51,10 +51,12 @@ fn described(
     let world = hosted.as_ref().map(|hosted| hosted.environment.as_ref());
     let spec = world.map(EnvironmentBatch::description);
     let policies = &trained.policy.agents;
-    let agents = world.map_or_else(|| agents::of_policies(policies), agents::of_task);
+    // Only the manifest knows what another program's environment told of itself.
+    let manifest = if simulated { None } else { RunFolder::recorded(&RunFolder::of(run)) };
+    let agents =
+        world.map_or_else(|| agents::of_policies(policies, manifest.as_ref()), agents::of_task);
     let agents = agents.into_iter().zip(policies).map(with_policy);
-    // Another program's environment has the name that its description gave it.
-    let outside = || RunFolder::recorded(&RunFolder::of(run))?["task"].as_str().map(str::to_owned);
+    let outside = || manifest.as_ref()?["task"].as_str().map(str::to_owned);
     let task = spec.map(|spec| spec.task.clone()).or_else(outside);
     let task = task.unwrap_or_else(|| config.resolved.text("task").to_owned());
     let description = json!({

@@ -77,13 +77,17 @@ class Acting(Closing):
         is the largest. The result has the same form, with `act` in place of `obs`.
         The recurrent states of agents that a dictionary lacks do not change. Continuous actions are in units of half a
         range (-1 and 1 are the limits) and not clamped. A choice is its index, without the axis `act`.
-        Raises `ValueError` for an unknown agent, a wrong shape or a number that is not finite.
+        Raises `ValueError` for an unknown agent, a wrong shape, a number that is not finite, or an array for a team of which
+        only some agents have choices.
         """
         if isinstance(observations, Mapping):
             rows = {self._index(name): own for name, own in observations.items()}
             batch, single = self._batch(rows)
             actions = self._actions(batch, single)
             return {self.agents[index].name: own for index, own in actions.items()}
+        if len({agent.choices is None for agent in self.agents}) > 1:
+            kinds = "some agents have continuous actions, others a choice"
+            raise ValueError(f"{kinds}, which no array holds; give a dictionary of observations by the agents' names")
         batch, single = self._batch(self._split(observations))
         acted = list(self._actions(batch, single).values())
         widest = max(agent.action_size for agent in self.agents)

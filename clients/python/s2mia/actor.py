@@ -168,7 +168,7 @@ def evaluate(run: Any, work: Any, policy: Policy, environment: Environment, rng:
             output, hidden[index] = agent.forward(observations[index][None], hidden[index])
             actions.append((agent.draw(output, rng) if run.sampled_evaluations else agent.mode(output))[0])
         reward, terminated, truncated = environment.step(actions)
-        total, steps, ended = total + reward, steps + 1, terminated or truncated
+        total, steps, ended = total + float(reward), steps + 1, terminated or truncated
     return wire.EvaluationResult(episode=work.episode, extrinsic_return=total, steps=steps)
 
 

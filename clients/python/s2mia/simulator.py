@@ -77,7 +77,7 @@ class Simulator:
 
     def reset(self, seed: Seed | None, options: Mapping[str, Any] | None) -> None:
         """Starts the next episodes or, with a seed, episode 0 of another seed. `options["limit"]` shortens them."""
-        given = options or {}
+        given = {} if options is None else options
         if not isinstance(given, Mapping):
             raise ValueError(f"options is a {type(given).__name__}; it is a mapping such as {{'limit': 200}}")
         # PettingZoo's test resets with the option `options`.

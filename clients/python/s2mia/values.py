@@ -96,6 +96,8 @@ def numbers(name: str, values: ArrayLike) -> Numbers:
     Raises `ValueError` for texts, truth values and complex numbers.
     """
     try:
+        if np.ma.is_masked(values):
+            raise ValueError("it has masked elements")
         array = np.asarray(values)
         if array.dtype.kind not in "iuf":
             if array.dtype.kind != "c":

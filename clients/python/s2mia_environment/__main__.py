@@ -16,7 +16,12 @@ import threading
 
 from s2mia.arguments import Parser
 
-from s2mia_environment.making import batch_of
+try:
+    from s2mia_environment.making import batch_of
+except ModuleNotFoundError as missing:
+    if missing.name not in ("gymnasium", "numpy"):
+        raise
+    sys.exit("s2mia_environment: it needs gymnasium: pip install 's2mia[environment]'")
 from s2mia_environment.server import STREAMS, place_of, serve
 from s2mia_environment.streams import EnvironmentFailed
 from s2mia_environment.workers import WorkerLost
@@ -45,7 +50,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=cores(), metavar="N", help="processes; default: one per core")
     parser.add_argument("function", metavar="PACKAGE.module:FUNCTION")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE")
-    arguments = parser.parse_args()
+    arguments = parser.parse_intermixed_args()
     pairs = [setting.partition("=") for setting in arguments.settings]
     if not arguments.function.partition(":")[2] or not all(key and equals for key, equals, _ in pairs):
         parser.error("expected PACKAGE.module:FUNCTION NAME=VALUE ...")

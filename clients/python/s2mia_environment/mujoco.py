@@ -3,6 +3,8 @@
     python -m s2mia_environment s2mia_environment.mujoco:multi_agent scenario=HalfCheetah agent_conf=2x3
 """
 
+import hashlib
+import json
 import struct
 import sys
 
@@ -17,7 +19,9 @@ from s2mia_environment.parallel import Parallel
 from s2mia_environment.partitions import ROBOTS, factorization
 from s2mia_environment.robots import STATE, Robots
 
-STATE_VERSION = 1
+STATE_VERSION = 2
+# Arrays of MuJoCo's data that rewards and observations of gymnasium and gymnasium-robotics read and that `mj_forward` changes.
+LATE = ("xpos", "xipos", "cinert", "cvel", "cfrc_ext", "qfrc_actuator", "ten_length", "ten_velocity", "ten_J")
 _STEPS = struct.Struct("<q")
 
 # By default MuJoCo also writes each warning to a file in the working directory.
@@ -28,7 +32,7 @@ class MultiAgentMujoco(Parallel):
     """One robot of any kind, whose joints several agents control, in gymnasium's wrappers.
 
     A state consists of the number of steps, MuJoCo's integration state, and the arrays that rewards and observations
-    read one substep late: body positions and contact forces.
+    read one substep late.
     """
 
     def __init__(self, env, task: str) -> None:
@@ -75,7 +79,7 @@ class MultiAgentMujoco(Parallel):
         self._store(self.env.unwrapped._get_obs())
 
     def _late_arrays(self) -> list[np.ndarray]:
-        return [self.data.xpos, self.data.cfrc_ext]
+        return [getattr(self.data, name) for name in LATE]
 
 
 def _time_limit(env) -> TimeLimit:
@@ -86,7 +90,7 @@ def _time_limit(env) -> TimeLimit:
 
 
 def multi_agent(
-    scenario: str, agent_conf: str, observation: str = View.K_NEAREST, **more
+    scenario: str, agent_conf: str | None, observation: str = View.K_NEAREST, **more
 ) -> EnvironmentBatch | Environment:
     """`gymnasium_robotics.mamujoco_v1.parallel_env` with the same settings and saved states.
 
@@ -98,12 +102,26 @@ def multi_agent(
         raise InvalidEnvironment(f"observation must be {' or '.join(views)}, is {observation}")
     if more.get("agent_obsk", 1) is None:
         raise InvalidEnvironment("agent_obsk must be a number; observation=full_id shows the whole state to every agent")
+    if agent_conf is not None and not isinstance(agent_conf, str):
+        raise InvalidEnvironment(f"agent_conf must be a text such as 2x3, or null for one agent, is {agent_conf}")
     parts = factorization(scenario, agent_conf)
     env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **more)
+    # Joints of the same name, which Pusher has, are in the order of a set, which differs between processes.
+    for near in getattr(env.unwrapped, "k_dicts", ()):
+        for joints in near.values():
+            joints.sort(key=lambda joint: (joint.label, str(joint.qpos_ids)))
     task = f"mujoco/{scenario}-{agent_conf}"
     if scenario in ROBOTS:
         steps = _time_limit(env.single_agent_env)._max_episode_steps
-        return Robots(env, task, Layout(env, View(observation)), steps)
+        return _with_kind_of(more, Robots(env, task, Layout(env, View(observation)), steps))
     if observation != View.K_NEAREST:
         raise InvalidEnvironment(f"observation={observation} is only for {', '.join(ROBOTS)}, not for {scenario}")
-    return MultiAgentMujoco(env, task)
+    return _with_kind_of(more, MultiAgentMujoco(env, task))
+
+
+def _with_kind_of(more: dict, made):
+    """The same environment. With settings its states are others than without: the same actions lead elsewhere."""
+    if more:
+        text = json.dumps(more, sort_keys=True, default=str)
+        made.spec.state_kind += f"/{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    return made

@@ -1,5 +1,7 @@
 """Observations and states as checked rows of 32-bit floats."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from gymnasium import spaces
 
@@ -12,6 +14,8 @@ LIMIT = 1e9
 
 def numbers(what: str, value) -> np.ndarray:
     """The numbers of an array as one row. `what` names the array in errors."""
+    if np.ma.is_masked(value):
+        raise InvalidEnvironment(f"{what} has masked elements; give numbers in their place")
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
         raise InvalidEnvironment(f"{what} is no array of numbers, but {_short(value)}")
@@ -38,11 +42,15 @@ def flat(what: str, space: spaces.Space, value) -> np.ndarray:
         case spaces.Discrete():
             return _one_hot(what, space, value)
         case spaces.Dict():
+            if not isinstance(value, Mapping):
+                raise InvalidEnvironment(f"{what} is {_short(value)}, its space has the entries {list(space)}")
             missing, more = set(space) - set(value), set(value) - set(space)
             if missing or more:
                 raise InvalidEnvironment(f"{what} has the entries {list(value)}, its space has {list(space)}")
             return np.concatenate([flat(f"{what}[{key!r}]", part, value[key]) for key, part in space.items()])
         case spaces.Tuple():
+            if not isinstance(value, Sequence):
+                raise InvalidEnvironment(f"{what} is {_short(value)}, its space has {len(space)} entries")
             if len(value) != len(space):
                 raise InvalidEnvironment(f"{what} has {len(value)} entries, its space has {len(space)}")
             parts = enumerate(zip(space, value, strict=True))
@@ -55,8 +63,12 @@ def flat(what: str, space: spaces.Space, value) -> np.ndarray:
 
 
 def _box(what: str, space: spaces.Box, value) -> np.ndarray:
-    if np.shape(value) != space.shape:
-        raise InvalidEnvironment(f"{what} has shape {np.shape(value)}, its space has {space.shape}")
+    try:
+        shape = np.shape(value)
+    except ValueError:
+        raise InvalidEnvironment(f"{what} is no array, but {_short(value)}") from None
+    if shape != space.shape:
+        raise InvalidEnvironment(f"{what} has shape {shape}, its space has {space.shape}")
     # Without a conversion to the space's type, which could truncate or overflow.
     row = numbers(what, value)
     low, high = space.low.ravel().astype(np.float32), space.high.ravel().astype(np.float32)

@@ -76,9 +76,10 @@ ACTIONS = {spaces.Box: Box, spaces.Discrete: Choice}
 
 def action_of(space: spaces.Space):
     """The action type of a space."""
-    if type(space) not in ACTIONS:
-        raise InvalidEnvironment(f"actions must be one Box or one Discrete per agent, not {space}")
-    return ACTIONS[type(space)](space)
+    for kind, action in ACTIONS.items():
+        if isinstance(space, kind):
+            return action(space)
+    raise InvalidEnvironment(f"actions must be one Box or one Discrete per agent, not {space}")
 
 
 def features(name: str, count: int) -> list:
@@ -165,7 +166,7 @@ class Parallel(Environment):
             self._demand_reward(agent, reward)
         terminated = self._any("terminations", terminations)
         truncated = self._any("truncations", truncations)
-        return float(np.mean(rewards)), terminated, truncated and not terminated
+        return float(np.mean(rewards, dtype=np.float64)), terminated, truncated and not terminated
 
     def observe(self) -> tuple[np.ndarray, list[np.ndarray]]:
         return self.state(), self.seen

@@ -14,7 +14,7 @@ ROBOTS = ("HalfCheetah", "Walker2d", "Ant")
 OPPOSITE = {("Ant", "2x4d"): (("hip1", "ankle1", "hip3", "ankle3"), ("hip2", "ankle2", "hip4", "ankle4"))}
 
 
-def factorization(scenario: str, agent_conf: str) -> dict | None:
+def factorization(scenario: str, agent_conf: str | None) -> dict | None:
     """The `agent_factorization` of a published task; `None` if gymnasium-robotics defines the partition.
 
     In `AxJ` with all joints of the robot, each of A agents controls the next J joints in the order of the model's
@@ -28,7 +28,7 @@ def factorization(scenario: str, agent_conf: str) -> dict | None:
         by_label = {joint.label: joint for joint in joints}
         parts = [tuple(by_label[label] for label in labels) for labels in named]
         return {"partition": parts, "edges": edges, "globals": of_root}
-    sizes = re.fullmatch(r"(\d+)x(\d+)", agent_conf)
+    sizes = re.fullmatch(r"(\d+)x(\d+)", agent_conf or "")
     if scenario not in ROBOTS or sizes is None:
         return None
     (joints,), edges, of_root = mamujoco_v1.get_parts_and_edges(scenario, None)

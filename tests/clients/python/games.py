@@ -96,6 +96,19 @@ class Aim(ParallelEnv):
         return seen, dict.fromkeys(self.agents, paid), never, late, {}
 
 
+class Mixed(Aim):
+    """One agent chooses, eight turn a knob by up to half a turn."""
+
+    metadata = {"name": "mixed"}
+    possible_agents = ["chooser", *(f"knob_{index}" for index in range(8))]
+
+    def __init__(self) -> None:
+        self.high = np.array([np.pi], np.float32)
+
+    def action_space(self, agent):
+        return spaces.Discrete(3) if agent == "chooser" else super().action_space(agent)
+
+
 class Liar(Environment):
     """Says that it has one agent with one number, then shows what it is told to."""
 

@@ -11,6 +11,7 @@ import time
 import grpc
 import numpy as np
 import pytest
+import s2mia
 from conftest import PLACES, SMALL, command
 from games import STEPS, Follow, Push
 from gymnasium import spaces
@@ -43,6 +44,23 @@ def test_agents_learn_in_a_pettingzoo_environment(offer, tmp_path):
     assert returns[-1] > 0.9 * STEPS
     manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
     assert manifest["environment_states"] == "replayed"
+    # The names are those of the game, which need not run.
+    with s2mia.load(tmp_path / "run") as team:
+        assert [agent.name for agent in team.agents] == ["left", "right"]
+
+
+def test_a_team_with_choices_and_continuous_actions_acts_by_name_and_no_array_holds_its_actions(offer, tmp_path):
+    settings = ("algorithm=happo", "policy.input_norm=none", "run.iterations=1", "run.actors=1")
+    done = train(tmp_path / "run", offer("games:Mixed"), *settings)
+    assert done.returncode == 0, done.stderr
+    seen = dict.fromkeys(["chooser", *(f"knob_{index}" for index in range(8))], np.ones(1, np.float32))
+    with s2mia.load(tmp_path / "run") as team, s2mia.load(tmp_path / "run") as other:
+        first = other.act(seen)
+        assert first["chooser"].shape == () and first["knob_7"].shape == (1,)
+        with pytest.raises(ValueError, match="give a dictionary of observations by the agents' names"):
+            team.act(np.ones((9, 1), np.float32))
+        # The refused call was no step.
+        assert all((own == first[name]).all() for name, own in team.act(seen).items())
 
 
 def test_an_environment_without_states_gives_one_actor_and_two_the_same_weights(offer, tmp_path):
@@ -216,6 +234,39 @@ def test_the_team_is_paid_the_mean_and_ends_with_its_first_agent():
     game = Parallel(Push())
     assert game.step([np.zeros(2)] * 2) == (2.0, False, True)
     assert game.step([np.full(2, 2.0)] * 2) == (2.0, True, False)
+
+
+def test_a_reward_that_all_share_is_the_teams_to_the_last_bit():
+    class Shared(Push):
+        possible_agents = ["one", "two", "three"]
+        paid = np.float32(0.1)
+
+        def step(self, actions):
+            ends = dict.fromkeys(actions, False)
+            return actions, dict.fromkeys(actions, self.paid), ends, ends, {}
+
+    assert Parallel(Shared()).step([np.zeros(2)] * 3)[0] == float(Shared.paid)
+
+
+def test_a_kind_of_box_is_a_box():
+    class Own(spaces.Box):
+        pass
+
+    class Unit(Push):
+        def action_space(self, agent):
+            return Own(-1.0, 1.0, (1,), np.float32)
+
+    assert [agent.action.size for agent in Parallel(Unit()).spec.agents] == [1, 1]
+
+
+@pytest.mark.parametrize("seen", [np.ma.masked_array([1.0, 2.0], [True, False]), None, [[1.0], 2.0]])
+def test_an_observation_that_is_no_array_of_numbers_is_refused_with_its_agent(seen):
+    class Odd(Push):
+        def step(self, actions):
+            return super().step(actions)[0] | {"two": seen}, *super().step(actions)[1:]
+
+    with pytest.raises(ValueError, match="two"):
+        Parallel(Odd()).step([np.zeros(2)] * 2)
 
 
 def test_actions_that_no_policy_can_be_taught_are_refused_when_the_program_starts():

@@ -209,14 +209,28 @@ def test_a_restored_robot_takes_the_same_steps_bit_for_bit(scenario, agent_conf)
             assert bits(other, number) == bits(one, 0), step
 
 
-def test_robots_without_a_batch_are_restored_bit_for_bit_too():
-    one, other = (multi_agent("Hopper", "3x1") for _ in range(2))
+# CoupledHalfCheetah of gymnasium-robotics 1.4.2 needs an older MuJoCo than 4.
+@pytest.mark.parametrize(
+    ("scenario", "agent_conf"),
+    [("Hopper", "3x1"), ("Humanoid", "9|8"), ("HumanoidStandup", "9|8"), ("InvertedDoublePendulum", None), ("Pusher", "3p")],
+)
+def test_robots_without_a_batch_are_restored_bit_for_bit_too(scenario, agent_conf):
+    one, other = (multi_agent(scenario, agent_conf) for _ in range(2))
     one.reset(bytes(32))
-    push = [np.full(1, 0.5, np.float32)] * 3
+    push = [np.full(agent.action.size, 0.3, np.float32) for agent in one.spec.agents]
+    seen = lambda robot: b"".join(row.tobytes() for row in (robot.observe()[0], *robot.observe()[1]))
     for _ in range(5):
         other.restore(one.save())
+        assert seen(one) == seen(other)
         assert one.step(push) == other.step(push)
         assert one.save() == other.save()
+
+
+def test_states_of_other_settings_have_another_kind():
+    kinds = {multi_agent("HalfCheetah", "2x3", **more).spec.state_kind for more in ({}, {"ctrl_cost_weight": 50})}
+    assert len(kinds) == 2
+    with pytest.raises(ValueError, match="agent_conf must be a text such as 2x3, or null for one agent, is 2"):
+        multi_agent("Hopper", 2)
 
 
 def test_an_episode_ends_at_its_length_although_it_was_restored_on_the_way():
