@@ -138,9 +138,12 @@ impl ExperimentArguments {
 /// signal on.
 const REPEATED: Duration = Duration::from_secs(2);
 
-/// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed, could not start
-/// or is damaged.
+/// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed, could not start,
+/// is damaged, or was stopped alone.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
+    if arguments.file.to_str().is_none() {
+        return Err(Usage::new(shell::not_text(&[arguments.file.clone().into()])).into());
+    }
     let file = ExperimentFile::read(&arguments.file)?;
     let runs = plan(&file)?;
     let selected = arguments.selection().of(&runs)?;
@@ -284,7 +287,7 @@ fn finish(
     planned: usize,
     stopped: Option<&ExperimentArguments>,
 ) -> anyhow::Result<()> {
-    let Tally { finished, failed, misplaced } = tally;
+    let Tally { finished, failed, misplaced, stopped: ended } = tally;
     if let Some(arguments) = stopped {
         let file = shell::path(&arguments.file);
         let selection = arguments.selection();
@@ -298,6 +301,9 @@ fn finish(
     );
     let tried = format!("{failed} of {planned} runs failed; the same command retries them");
     match (failed, misplaced) {
+        (0, 0) if *ended > 0 && stopped.is_none() => {
+            anyhow::bail!("{ended} of {planned} runs were stopped; the same command resumes them")
+        }
         (0, 0) => Ok(()),
         (_, 0) => anyhow::bail!(tried),
         (0, _) => anyhow::bail!(refused),

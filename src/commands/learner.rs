@@ -8,10 +8,17 @@ use clap::Args;
 use security::{ServerTls, Token};
 use tokio::sync::watch;
 
+use crate::config::run_config::RunConfig;
 use crate::endpoints::{self, Listening, PageArguments, ServerTlsArguments};
 use crate::process::{self, output, runtime};
 use crate::progress::Progress;
 use crate::run::{self, PreparedRun, ResumeArguments, SettingsArguments, warm_up};
+
+/// Settings of `s2mia train` alone, and what actors take in their place.
+const FOR_TRAIN: [(&str, &str); 2] = [
+    ("run.actors", "start as many `s2mia actor` processes"),
+    ("log.episodes", "give each `s2mia actor` --log-dir and --log-episodes"),
+];
 
 /// `s2mia learner`
 #[derive(Args, Debug)]
@@ -58,6 +65,15 @@ pub(super) fn run(arguments: &LearnerArguments) -> anyhow::Result<()> {
     runtime.block_on(serve(prepared, (listening, token), page_tls, arguments, stop))
 }
 
+/// Lines for given settings that only `s2mia train` follows, which starts actors.
+fn ignored(config: &RunConfig) -> impl Iterator<Item = String> {
+    let given = FOR_TRAIN.iter().filter(|(key, _)| config.resolved.is_given(key));
+    given.map(|(key, instead)| {
+        let origin = config.resolved.origin(key);
+        format!("note: `{key}` ({origin}) has no effect here; {instead}")
+    })
+}
+
 /// The machines on which an external environment may run.
 fn plain_text(arguments: &LearnerArguments) -> Transport {
     if arguments.tls.insecure_allow_remote {
@@ -81,6 +97,7 @@ async fn serve(
     }
     output::line(format!("{} waits for actors on {url}", folder.display()));
     warm_up::remark(&config).iter().for_each(output::line);
+    ignored(&config).for_each(output::line);
     let page = arguments.page.open(page_tls).await?;
     let mut progress = Progress::new(config.env_steps());
     let observer = Box::new(move |event: &learner::observe::event::Event| progress.observe(event));
@@ -94,4 +111,22 @@ async fn serve(
         summary.checkpoint.display()
     ));
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn given_settings_of_actors_are_named_with_what_actors_take_instead() {
+        let of = |settings: &[&str]| {
+            let own = [&["cue-2x1"], settings].concat();
+            ignored(&RunConfig::with(&own).unwrap()).collect::<Vec<_>>()
+        };
+        let lines = of(&["log.episodes=all", "run.actors=7"]);
+        let [actors, logs] = lines.as_slice() else { panic!("{lines:?}") };
+        assert!(actors.contains("`run.actors` (command line) has no effect here"), "{actors}");
+        assert!(logs.ends_with("give each `s2mia actor` --log-dir and --log-episodes"), "{logs}");
+        assert!(of(&["run.seed=3"]).is_empty());
+    }
 }

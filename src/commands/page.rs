@@ -237,7 +237,8 @@ impl FollowedRun {
                     self.returns.clear();
                 }
                 self.damaged += new.damaged;
-                self.returns.extend(metrics::returns(&new.lines));
+                let measured = metrics::measured(&new.lines);
+                self.returns.extend(measured.map(|one| (one.iteration, one.mean)));
                 let curves = Arc::make_mut(&mut self.curves);
                 new.lines.iter().for_each(|line| curves.add(line));
                 is_readable_again || new.damaged > 0 || !new.lines.is_empty()

@@ -162,7 +162,11 @@ fn refuse_if_meant(name: &str) -> Result<(), ConfigError> {
 
 /// What an argument without a value is, that is not the first.
 fn misplaced(argument: &str) -> ConfigError {
+    let is_task_file = || argument.ends_with(".toml") && Path::new(argument).is_file();
     ConfigError::Other(match presets::find(presets::TASKS, argument) {
+        None if is_task_file() => format!(
+            "`{argument}` is a task file, and the task comes first, before all settings; a resumed run keeps its task"
+        ),
         Some(_) => format!("`{argument}` is a task, and the task comes first, before all settings"),
         None => {
             format!("`{argument}` is no setting; write key.path=value, for example run.seed=7")

@@ -121,6 +121,11 @@ const TABLE: &[Rule] = &[
         &[Not("environment_service.url", "")],
         "environment_service.url; it must be none: only the simulator's episodes are logged",
     ),
+    rule(
+        Is("log.episodes", &["evaluation"]),
+        &[Zero("evaluation.every_steps")],
+        "evaluation.every_steps = 0; it must be none, all or a number, or there must be evaluations",
+    ),
 ];
 
 impl Rule {
@@ -167,6 +172,24 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let range = format!("at most environments.steps = {}", environments.steps);
     within("policy.noise_hold", hold, ..=environments.steps, &range)?;
     let is_hasac = training.update.rule == marl::config::Rule::Hasac;
+    if training.replay().is_none() {
+        let rows = environments.count * environments.steps;
+        let sequences = rows / window;
+        let critic = match training.critic.core {
+            marl::config::CriticCore::Mlp => ("steps", rows),
+            marl::config::CriticCore::Gru => ("sequences", sequences),
+        };
+        for (key, minibatches, (parts, most)) in [
+            ("update.minibatches", training.update.minibatches, ("sequences", sequences)),
+            ("critic.minibatches", training.critic.minibatches, critic),
+        ] {
+            // A preset's number may be larger than a small iteration; only the user's own must have an effect.
+            if config.resolved.is_given(key) {
+                let range = format!("at most {most}, the number of {parts} of an iteration");
+                within(key, minibatches, ..=most, &range)?;
+            }
+        }
+    }
     if let Some(replay) = training.replay() {
         let (key, batch) = if is_hasac {
             ("hasac.replay", "hasac.batch")
@@ -225,6 +248,7 @@ mod tests {
             "influence.lambda = 0.01",
         ),
         (&["environment_service.url=http://localhost:7", "log.episodes=all"], "log.episodes = all"),
+        (&["log.episodes=evaluation", "evaluation.every_steps=0"], "log.episodes = evaluation"),
     ];
 
     #[test]
@@ -311,5 +335,28 @@ mod tests {
             let message = RunConfig::with(settings).expect_err("refused").to_string();
             assert_eq!(message, expected);
         }
+    }
+
+    #[test]
+    fn minibatches_without_a_part_of_the_iteration_are_refused() {
+        for (settings, expected) in [
+            (
+                &["environments.count=2", "update.minibatches=11"][..],
+                "command line: update.minibatches = 11 is out of range: at most 10, the number of sequences of an iteration",
+            ),
+            (
+                &["environments.count=2", "critic.minibatches=101"],
+                "command line: critic.minibatches = 101 is out of range: at most 100, the number of steps of an iteration",
+            ),
+            (
+                &["critic.core=gru", "critic.minibatches=101"],
+                "command line: critic.minibatches = 101 is out of range: at most 100, the number of sequences of an iteration",
+            ),
+        ] {
+            let message = RunConfig::with(settings).expect_err("refused").to_string();
+            assert_eq!(message, expected);
+        }
+        // A number that the user did not give is no reason to refuse a small iteration.
+        assert!(RunConfig::with(&["environments.count=1", "environments.steps=10"]).is_ok());
     }
 }

@@ -209,10 +209,14 @@ impl RunConfig {
 
     /// Refuses weights of reward terms that the task does not have.
     fn demand_terms(&self) -> Result<(), ConfigError> {
-        let given = self.resolved.entries.keys().find(|key| keys::weighted_term(key).is_some());
-        let Some(key) = given else { return Ok(()) };
-        let checked = self.task.check();
-        checked.map_err(|error| ConfigError::refused(&self.resolved, &[key], &error.to_string()))
+        let keys = self.resolved.entries.keys();
+        let mut weights = keys.filter_map(|key| Some((key, keys::weighted_term(key)?))).peekable();
+        let Some((first, _)) = weights.peek().copied() else { return Ok(()) };
+        self.task.check().map_err(|error| {
+            let unknown = weights.find(|(_, term)| self.task.weight_in_file(term).is_err());
+            let key = unknown.map_or(first, |(key, _)| key);
+            ConfigError::refused(&self.resolved, &[key], &error.to_string())
+        })
     }
 
     /// How the learner scales observations.

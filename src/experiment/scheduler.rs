@@ -14,6 +14,7 @@ use tokio::task::JoinSet;
 
 use super::PlannedRun;
 use super::run_state::{Ending, RunFolderState, is_finished, mismatch, run_state};
+use crate::config::layers::ENVIRONMENT_PREFIX;
 use crate::figures::chart;
 use crate::process::{self, ProcessLog, output};
 use crate::progress::Screen;
@@ -36,6 +37,8 @@ pub(crate) struct Tally {
     pub(crate) failed: usize,
     /// Runs whose folders hold runs with other settings.
     pub(crate) misplaced: usize,
+    /// Runs that ended before their last iteration, with a checkpoint.
+    pub(crate) stopped: usize,
 }
 
 /// Runs all to their end, at most `at_once` at a time, or stops them with checkpoints.
@@ -67,6 +70,7 @@ pub(crate) async fn run_all(
                 tally.finished += usize::from(ending == Ending::Finished);
                 tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
                 tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
+                tally.stopped += usize::from(ending == Ending::Stopped);
                 progress.ended(&run, &ending);
             }
             () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),
@@ -205,6 +209,13 @@ async fn locked_log(path: &Path, stop: &watch::Receiver<bool>) -> anyhow::Result
 /// Starts or resumes the training of a run.
 fn start(program: &Path, run: &PlannedRun, log: File) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
+    // A resume would refuse another folder than the run's.
+    let own = format!("{ENVIRONMENT_PREFIX}RUN__DIR");
+    for (name, _) in std::env::vars_os() {
+        if name.eq_ignore_ascii_case(&own) {
+            command.env_remove(name);
+        }
+    }
     command.args(["train", "--stop-with-stdin", "--page", "off"]).args(&run.settings);
     match run_state(run) {
         RunFolderState::New => command.arg(format!("run.dir={}", run.folder.display())),

@@ -94,12 +94,15 @@ pub(crate) fn of_run(run: &Path, which: &Which) -> anyhow::Result<PathBuf> {
             let why = format!("{} is no checkpoint of {shown}; name one of them", folder.display());
             if own == run.canonicalize()? { Ok(folder) } else { Err(Usage::new(why).into()) }
         }
-        Which::Best => checkpoint::best(run, &metrics::returns(&all_lines(&run.join(METRICS))?))?
-            .ok_or_else(|| {
+        Which::Best => {
+            let lines = all_lines(&run.join(METRICS))?;
+            let returns = metrics::returns(metrics::measured(&lines).collect::<Vec<_>>());
+            checkpoint::best(run, &returns)?.ok_or_else(|| {
                 let why =
                     "has no checkpoint whose policies are evaluated; name an iteration, or last";
                 Usage::new(format!("{shown} {why}")).into()
-            }),
+            })
+        }
         Which::Iteration(iteration) => {
             let place = checkpoint::place(run, *iteration);
             let known = all.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");

@@ -169,6 +169,8 @@ fn a_run_without_a_checkpoint_is_reported_with_the_command_that_restarts_it() {
     assert_eq!(status(path), expected);
     let line = failed(&["eval", path], 1);
     assert!(line.contains("has no checkpoint yet") && line.contains(&again), "{line}");
+    succeeded(&["train", "--resume", path, "run.actors=1", "--page", "off"]);
+    assert_eq!(status(path)["state"], "finished");
 }
 
 #[test]

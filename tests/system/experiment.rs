@@ -13,6 +13,9 @@ use crate::runs::{command, error, inspect, succeeded, text, told};
 /// Options with which all runs are started, two at a time.
 const ALL: [&str; 2] = ["--jobs", "2"];
 
+/// In place of a signal: `s2mia stop` ends one run.
+const STOP: &str = "stop";
+
 /// A small experiment: two variants of a game, three runs, one of them much longer than the others.
 struct Experiment {
     directory: tempfile::TempDir,
@@ -74,13 +77,17 @@ impl Experiment {
         self.directory.path().join("runs")
     }
 
-    /// Runs all and sends the signal when the first run has finished, while the long one continues.
+    /// Runs all and sends the signal when the first run has finished, while the long one continues; or stops that alone.
     fn end_after_its_first_run(&self, signal: &str) -> (Option<i32>, String) {
         let mut process = Background::start(&mut self.command(&ALL));
         while !process.line().ends_with(" is finished") {}
-        process.signal(signal);
+        if signal == STOP {
+            succeeded(&["stop", text(&self.folder().join("cue-2x1-long-seed3"))]);
+        } else {
+            process.signal(signal);
+        }
         let (status, lines) = process.end();
-        (status, lines.join("\n"))
+        (status, [lines.join("\n"), process.log()].concat())
     }
 
     /// State hashes of all runs, in the order of their names.
@@ -175,13 +182,16 @@ fn a_finished_run_that_lost_evaluations_is_named_and_left_out_and_one_without_a_
 
 #[test]
 fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
-    for signal in ["-TERM", "-KILL"] {
+    for (signal, expected) in [("-TERM", Some(0)), ("-KILL", None), (STOP, Some(1))] {
         let experiment = Experiment::new();
         let (status, told) = experiment.end_after_its_first_run(signal);
-        assert_eq!(status, (signal == "-TERM").then_some(0), "{told}");
+        assert_eq!(status, expected, "{told}");
         assert_eq!(told.contains("resume with `s2mia experiment"), signal == "-TERM", "{told}");
-        let told = experiment.run(&ALL);
-        assert!(told.contains("3 of 3 runs are finished"), "{told}");
+        assert_eq!(told.contains("1 of 3 runs were stopped"), signal == STOP, "{told}");
+        // Each run has its own folder, whatever the environment says.
+        let again = experiment.command(&ALL).env("S2MIA__RUN__DIR", "elsewhere").output().unwrap();
+        let (status, told) = crate::runs::told(again);
+        assert!(status == Some(0) && told.contains("3 of 3 runs are finished"), "{told}");
         assert_eq!(experiment.hashes(), undisturbed(), "{signal}");
     }
 }

@@ -34,24 +34,49 @@ pub struct Metrics {
 /// Mean returns of a run's evaluations, by the iteration of the evaluated policies.
 pub type Returns = BTreeMap<u64, f64>;
 
+/// An evaluation in `metrics.jsonl`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredReturn {
+    /// Of the evaluated policies.
+    pub iteration: u64,
+    /// Mean return.
+    pub mean: f64,
+    /// Whether actions were sampled. Others are means, or the likeliest choices.
+    pub sampled: bool,
+}
+
 /// The results of the evaluations in the lines of `metrics.jsonl`.
-#[must_use]
-pub fn returns(lines: &[Value]) -> Returns {
+pub fn measured(lines: &[Value]) -> impl Iterator<Item = MeasuredReturn> {
     let evaluations = lines.iter().filter(|line| line["kind"] == "evaluation");
-    evaluations
-        .filter_map(|line| Some((line["iteration"].as_u64()?, line["mean"].as_f64()?)))
-        .collect()
+    evaluations.filter_map(|line| {
+        Some(MeasuredReturn {
+            iteration: line["iteration"].as_u64()?,
+            mean: line["mean"].as_f64()?,
+            sampled: line["sampled"].as_bool().unwrap_or(false),
+        })
+    })
+}
+
+/// The results that can be compared with each other: those with actions of the same kind as in the last evaluation.
+#[must_use]
+pub fn returns(all: impl IntoIterator<Item = MeasuredReturn> + Clone) -> Returns {
+    let last = all.clone().into_iter().last();
+    let alike = all.into_iter().filter(|one| last.is_some_and(|last| last.sampled == one.sampled));
+    alike.map(|one| (one.iteration, one.mean)).collect()
 }
 
 impl Metrics {
-    /// Opens the metrics of a run that resumes after `iteration` and drops later lines. Also returns the mean returns of
-    /// the evaluations that they contain, by iteration.
+    /// Opens the metrics of a run that resumes after `iteration` and drops later lines. Also returns the results of the
+    /// evaluations that they contain.
     ///
     /// # Errors
     /// A file cannot be read or written.
-    pub fn open(run_folder: &Path, iteration: u64) -> Result<(Self, Returns), FileError> {
+    pub fn open(
+        run_folder: &Path,
+        iteration: u64,
+    ) -> Result<(Self, Vec<MeasuredReturn>), FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS), iteration)?;
-        let measured = returns(&kept);
+        let measured = measured(&kept).collect();
         let events = EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?;
         let mut curves = Curves::default();
         kept.iter().for_each(|line| curves.add(line));
@@ -173,6 +198,15 @@ mod tests {
             metrics.iteration(&report(iteration + 1)).unwrap();
         }
         let (_, measured) = Metrics::open(folder.path(), 3).unwrap();
-        assert_eq!(measured, Returns::from([(0, 1.0), (2, 1.0)]));
+        assert_eq!(returns(measured), Returns::from([(0, 1.0), (2, 1.0)]));
+    }
+
+    #[test]
+    fn returns_of_sampled_actions_are_not_compared_with_those_of_mean_actions() {
+        let of = |iteration, mean, sampled| MeasuredReturn { iteration, mean, sampled };
+        let all = [of(0, 9.0, false), of(2, 1.0, true), of(4, 2.0, true)];
+        assert_eq!(returns(all), Returns::from([(2, 1.0), (4, 2.0)]));
+        assert_eq!(returns([all[1], all[0]]), Returns::from([(0, 9.0)]));
+        assert!(returns([]).is_empty());
     }
 }

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use policy::arrays::{Array, NamedArrays};
 
 use crate::config::EvaluationConfig;
-use crate::observe::metrics::Returns;
+use crate::observe::metrics::{MeasuredReturn, Returns, returns};
 use crate::store::checkpoint::{CheckpointError, fields};
 
 const ITERATION: &str = "evaluation/iteration";
@@ -20,8 +20,8 @@ pub struct Evaluations {
     steps_per_iteration: u64,
     last_iteration: u64,
     latest: Option<Evaluated>,
-    /// The results that are in the metrics.
-    pub(crate) measured: Returns,
+    /// The results that are in the metrics, in their order.
+    measured: Vec<MeasuredReturn>,
     /// Replaces the schedule and the number of episodes.
     planned: Option<PlannedEvaluations>,
 }
@@ -46,7 +46,7 @@ impl Evaluations {
         config: EvaluationConfig,
         steps_per_iteration: u64,
         last_iteration: u64,
-        measured: Returns,
+        measured: Vec<MeasuredReturn>,
         planned: Option<PlannedEvaluations>,
     ) -> Self {
         Self { config, steps_per_iteration, last_iteration, latest: None, measured, planned }
@@ -69,7 +69,7 @@ impl Evaluations {
     #[must_use]
     pub fn due(&self, iteration: u64) -> bool {
         let begun = self.latest.as_ref().is_some_and(|latest| latest.iteration == iteration);
-        if !self.includes(iteration) || begun || self.measured.contains_key(&iteration) {
+        if !self.includes(iteration) || begun || self.is_measured(iteration) {
             return false;
         }
         if self.planned.is_some() {
@@ -78,11 +78,20 @@ impl Evaluations {
         self.config.is_due(iteration, self.steps_per_iteration, self.last_iteration)
     }
 
+    fn is_measured(&self, iteration: u64) -> bool {
+        self.measured.iter().any(|measured| measured.iteration == iteration)
+    }
+
+    /// The results that can be compared with each other.
+    pub(crate) fn returns(&self) -> Returns {
+        returns(self.measured.iter().copied())
+    }
+
     /// The evaluation whose result is outstanding.
     #[must_use]
     pub fn outstanding(&self) -> Option<&Evaluated> {
         let pending = |latest: &&Evaluated| {
-            self.includes(latest.iteration) && !self.measured.contains_key(&latest.iteration)
+            self.includes(latest.iteration) && !self.is_measured(latest.iteration)
         };
         self.latest.as_ref().filter(pending)
     }
@@ -94,7 +103,8 @@ impl Evaluations {
 
     /// Ends the evaluation of `iteration`, whose mean return is in the metrics.
     pub fn end(&mut self, iteration: u64, mean_return: f64) {
-        self.measured.insert(iteration, mean_return);
+        let sampled = self.config.sampled;
+        self.measured.push(MeasuredReturn { iteration, mean: mean_return, sampled });
     }
 
     /// The latest evaluation as arrays under `evaluation/`, finished or not. Whether it is finished depends on timing
@@ -129,7 +139,7 @@ mod tests {
 
     fn evaluations(every_steps: u64) -> Evaluations {
         let config = EvaluationConfig { every_steps, episodes: 2, sampled: false };
-        Evaluations::new(config, 4000, 30, Returns::new(), None)
+        Evaluations::new(config, 4000, 30, Vec::new(), None)
     }
 
     #[test]

@@ -124,6 +124,10 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
             &["run.seed=7", "walker2d-2x3"],
             "`walker2d-2x3` is a task, and the task comes first, before all settings",
         ),
+        (
+            &["run.seed=7", "docs/gym-hopper.toml"],
+            "`docs/gym-hopper.toml` is a task file, and the task comes first, before all settings; a resumed run keeps its task",
+        ),
     ] {
         assert_eq!(refusal(settings), line);
     }

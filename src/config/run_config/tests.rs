@@ -164,3 +164,13 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         assert!(message.contains(words) && !message.contains('\n'), "{message}");
     }
 }
+
+#[test]
+fn a_reward_term_that_the_task_does_not_have_is_laid_at_its_own_key() {
+    let settings = &["halfcheetah-2x3", "reward.control=0.2", "reward.foo=1"];
+    let refused = RunConfig::with(settings).unwrap_err().to_string();
+    assert!(
+        refused.starts_with("command line: reward.foo: the task has no such term"),
+        "{refused}"
+    );
+}

@@ -85,7 +85,8 @@ impl Trainer {
         let folder = self.folder.path();
         let newest = self.launch.config.checkpoint.keep_last;
         let outstanding = self.evaluations.outstanding().map(|evaluated| evaluated.iteration);
-        let keep = Keep { newest, returns: &self.evaluations.measured, outstanding };
+        let returns = self.evaluations.returns();
+        let keep = Keep { newest, returns: &returns, outstanding };
         let sha256 = self.launch.config_sha256.to_string();
         let settings = RunSettings { sha256: &sha256, toml: &self.launch.config_toml };
         let mut before = |step, _: &Path| {
