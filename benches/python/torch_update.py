@@ -1,9 +1,11 @@
 """The learner's update in plain PyTorch compared with ours, in one run: the same shapes, passes, terms and threads.
 
+HASAC's update is that of `tests/reference/hasac.py` in single precision.
+
     pip install torch==2.8.0
     python benches/python/torch_update.py [--rounds 3] [--cases halfcheetah-6x1 ...]
 
-Needs Rust, too: it has `cargo bench -p s2mia -- shapes update --json` measure our side between its own rounds. Per round
+Needs Rust, too: it has `cargo bench -p s2mia -- SECTION --json` measure our side between its own rounds. Per round
 and case both sides run once; medians are compared. Processor seconds are those of one thread and hold beside other
 work; with two threads only the wall clock tells, on a machine that does nothing else.
 """
@@ -12,12 +14,18 @@ import argparse
 import json
 import statistics
 import subprocess
+import sys
 import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import torch
 from torch import nn
 from torch.nn.functional import huber_loss
 from torch.nn.utils import clip_grad_norm_
+
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "reference"))
+from hasac import Learner, NormalisedNetwork
 
 STEPS, ENVIRONMENTS, HOLDOUT = 200, 20, 5
 GAMMA, TRACE, CLIP, KAPPA, LAMBDA = 0.99, 0.95, 0.1, 1.0, 0.01
@@ -95,6 +103,8 @@ def divergence(q, p):
 
 class Update:
     """Every network of a case and one iteration's made-up experience."""
+
+    SECTION = "update"
 
     def __init__(self, shape):
         self.shape, recurrent = shape, shape["hidden"] > 0
@@ -209,6 +219,61 @@ class Update:
                 self.step(self.critic, torch.maximum(free, clipped).mean())
 
 
+class HasacUpdate:
+    """As many optimiser steps as an iteration has, each with other rows of a replay."""
+
+    SECTION = "off-policy"
+    ROWS = 10_000
+    SETTINGS = {
+        "hasac.initial_temperature": 1.0,
+        "hasac.first_moment": 0.5,
+        "policy.sigma_floor": 1e-6,
+        "update.adam_epsilon": 1e-8,
+    } | {
+        f"{section}.{name}": value
+        for section in ("update", "critic")
+        for name, value in [("learning_rate", 1e-3), ("max_gradient_norm", 1e9)]
+    }
+    POLICY_EVERY, NORM_MOMENTUM = 3, 0.01
+
+    def __init__(self, shape):
+        self.shape, agents = shape, range(shape["agents"])
+        network = lambda inputs, outputs: NormalisedNetwork(inputs, outputs, shape, self.NORM_MOMENTUM)
+        joint = shape["state"] + shape["agents"] * shape["action"]
+        self.learner = Learner(
+            {
+                "settings": self.SETTINGS,
+                "range": (-1.0, 1.0),
+                "actors": [network(shape["observation"], 2 * shape["action"]) for _ in agents],
+                "critics": [network(joint, 1) for _ in range(2)],
+            }
+        )
+        for temperature in self.learner.temperatures:
+            temperature.float()
+        rows = lambda *size: torch.randn(self.ROWS, *size)
+        self.replay = {name: rows(shape["state"]) for name in ("state", "next state")}
+        self.replay |= {(name, agent): rows(shape["observation"]) for name in ("seen", "next seen") for agent in agents}
+        self.replay |= {("action", agent): rows(shape["action"]).clamp(-1, 1) for agent in agents}
+        self.replay["reward"] = rows()
+
+    def sample(self):
+        at = torch.randint(self.ROWS, (self.shape["replay batch"],))
+        pick = {name: stored[at] for name, stored in self.replay.items()}
+        every = lambda name: [pick[name, agent] for agent in range(self.shape["agents"])]
+        ahead = SimpleNamespace(
+            state=pick["next state"], observation=every("next seen"), reward=pick["reward"], discount=GAMMA
+        )
+        return {"state": pick["state"], "observation": every("seen"), "action": every("action"), "ahead": ahead}
+
+    def run(self):
+        draws = [SimpleNamespace(normals=torch.randn)] * self.shape["agents"]
+        for step in range(self.shape["optimiser steps"]):
+            sample = self.sample()
+            self.learner.fit_critics(sample, draws)
+            if step % self.POLICY_EVERY == 0:
+                self.learner.improve_policies(sample, torch.randperm(self.shape["agents"]).tolist(), draws)
+
+
 def measured(update, threads):
     """Wall and processor seconds of one update."""
     torch.set_num_threads(threads)
@@ -231,12 +296,15 @@ def main():
     shapes = ours(["shapes"])["shapes"]
     shapes = {case: {k: int(v) for k, v in shape.items()} for case, shape in shapes.items()}
     wanted = lambda case: not arguments.cases or case.startswith(tuple(arguments.cases))
-    updates = {case: Update(shape) for case, shape in shapes.items() if wanted(case)}
+    made = lambda shape: HasacUpdate(shape) if shape["replay batch"] else Update(shape)
+    updates = {case: made(shape) for case, shape in shapes.items() if wanted(case) and not case.endswith("maddpg")}
     times = {case: {key: [] for key in ("ours 1", "torch 1", "ours 2", "torch 2")} for case in updates}
     for update in updates.values():
         update.run()
     for _ in range(arguments.rounds):
-        figures = ours(["update"])["update"]
+        figures = {}
+        for section in sorted({update.SECTION for update in updates.values()}):
+            figures |= ours([section])[section]
         for case, update in updates.items():
             times[case]["ours 1"].append(figures[case]["1 thread, processor s"])
             times[case]["ours 2"].append(figures[case]["2 threads, s"])

@@ -7,6 +7,7 @@ mod end_to_end;
 mod inference;
 mod iteration;
 mod load;
+mod off_policy;
 mod peak;
 mod processes;
 mod run_in_process;
@@ -44,10 +45,15 @@ const QUICK: Effort = Effort { repeats: 1, iterations: 1, actors: &[1, 16] };
 /// Name of a section, description of its rows, and the function that measures them.
 type Measurement = (&'static str, &'static str, fn(Effort) -> anyhow::Result<Vec<CaseRow>>);
 
-const SECTIONS: [Measurement; 10] = [
+const SECTIONS: [Measurement; 11] = [
     ("inference", "one step of a slot: all its agents in all its environments", inference::rows),
-    ("shapes", "the updates below: preset `harl`, 20 environments x 200 steps", shapes::rows),
+    ("shapes", "the updates below; those of `update` with preset `harl`", shapes::rows),
     ("update", "one update; its parts on one thread", update::rows),
+    (
+        "off-policy",
+        "one update with the default settings, after 10 environments x 50 steps",
+        off_policy::rows,
+    ),
     ("peak", "matrix products of an update on one thread, and of a core at its best", peak::rows),
     ("end-to-end", "`s2mia train` with 2 actors, preset `harl`", end_to_end::rows),
     ("wire", "one iteration of `halfcheetah-6x1` with 2 actors, medians", wire::rows),

@@ -4,6 +4,7 @@ use anyhow::ensure;
 
 use crate::Effort;
 use crate::end_to_end;
+use crate::off_policy;
 use crate::settings::CaseSettings;
 use crate::table::CaseRow;
 use crate::update::{Case, TASKS, cases};
@@ -15,6 +16,7 @@ pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
         let (agent, training) = (&case.problem.agents[0], &case.settings.training);
         let (policy, update) = (&case.settings.policy, &training.update);
         let whole = |number: usize| number as f64;
+        let hasac = training.hasac.as_ref();
         let figures = vec![
             ("agents", whole(case.problem.agents.len())),
             ("observation", whole(agent.observation)),
@@ -30,10 +32,12 @@ pub(crate) fn rows(_effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
             ("critic epochs", whole(training.critic.epochs)),
             ("critic minibatches", whole(training.critic.minibatches)),
             ("posterior epochs", whole(training.influence.epochs)),
+            ("replay batch", hasac.map_or(0.0, |own| whole(own.batch))),
+            ("optimiser steps", hasac.map_or(0.0, |_| off_policy::optimiser_steps(&case))),
         ];
         CaseRow { case: case.name, figures }
     };
-    Ok(cases()?.into_iter().map(row).collect())
+    Ok(cases()?.into_iter().chain(off_policy::cases()?).map(row).collect())
 }
 
 /// Fails with the case whose settings differ from its table's description.
