@@ -1,6 +1,8 @@
 //! The record of an experiment: the evaluations of its finished runs in one CSV file, independent of the run folders.
 //! A run in the record is not run again.
 
+mod agreement;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::ErrorKind;

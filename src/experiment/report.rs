@@ -97,6 +97,15 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
             tracing::warn!("{}: {why}", file.record.display());
         }
         let may_add = kept && conflict.is_none();
+        if contradicts(&recorded, run) {
+            let (record, folder) = (file.record.display(), run.folder.display());
+            started.damaged.push(format!(
+                "{record}: it has other results of {} than {folder}: the report leaves this run out; restore the record, or delete \
+                 the run's lines, which are then written again",
+                run.name()
+            ));
+            continue;
+        }
         let (curve, done) = match recorded.curve(run) {
             Some(curve) => (curve, true),
             None if !is_there(run) => continue,
@@ -122,6 +131,13 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
         started.curves.push(curve);
     }
     Ok(started)
+}
+
+/// Whether the record has other results of a run than its folder, which has all of them.
+fn contradicts(recorded: &Record, run: &PlannedRun) -> bool {
+    let mut own = Record::default();
+    let mut is_whole = || matches!(of_folder(run, Some(&mut own)), Ok((_, true)));
+    recorded.holds(run) && is_there(run) && is_whole() && !own.agrees(recorded, run)
 }
 
 /// The curve of a run from its folder, and whether the run is finished, in which case it is added to `record`.

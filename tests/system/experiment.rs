@@ -136,6 +136,12 @@ fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing
     let weights = last["weights_sha256"].as_str().unwrap();
     let of_long = |line: &&str| line.starts_with("cue-2x1,long,3,40000,") && line.contains(weights);
     assert_eq!(record.lines().filter(of_long).count(), 1, "{record}");
+    let file = experiment.directory.path().join("record.csv");
+    let other = record.replace("cue-2x1,short,0,2000,", "cue-2x1,short,0,2000,9");
+    std::fs::write(&file, other).unwrap();
+    let refused = error(&experiment.command(&["--report"]).output().unwrap());
+    assert!(refused.contains("it has other results of cue-2x1-short-seed0 than"), "{refused}");
+    std::fs::write(&file, &record).unwrap();
     std::fs::remove_dir_all(experiment.folder()).unwrap();
     let listed = experiment.run(&["--list"]);
     assert_eq!(listed.matches("  recorded").count(), 3, "{listed}");
