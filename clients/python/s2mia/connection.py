@@ -131,6 +131,8 @@ def authorization(address: str, tls: Tls | None, token: str | None) -> list[tupl
     Plain text to another machine would show the token to the network: that of S2MIA_TOKEN is not sent there.
     Raises `ValueError` for such a `token`, and for one that no header can contain.
     """
+    if not isinstance(token, str | None):
+        raise ValueError(f"token is a {type(token).__name__}; it is a text")
     if tls is None and not _is_loopback(_parts(address)[1]):
         if token:
             raise ValueError(f"{address}: the token would be readable in the network; use tls")
@@ -154,6 +156,8 @@ def open_channel(
 
     Raises `ValueError` as `target` and for an invalid certificate or key, and `OSError` for a file that cannot be read.
     """
+    if not isinstance(tls, Tls | None):
+        raise ValueError(f"tls is {tls!r}; it is s2mia.Tls(ca, certificate, key)")
     place = target(address, tls, insecure_allow_remote=insecure_allow_remote)
     if tls is None:
         return grpc.insecure_channel(place, options=[*_OPTIONS, *options])

@@ -1,6 +1,7 @@
 """Queries and controls a running learner: `ControlService` of control.proto, without a registration."""
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,6 +9,7 @@ from s2mia import wire
 from s2mia.closing import Closing
 from s2mia.connection import Connection, Tls
 from s2mia.name import printable
+from s2mia.values import whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,10 +101,12 @@ class Client(Closing):
     ) -> None:
         """Prepares a connection to `url`: `HOST:PORT`, `http://HOST:PORT`, or with `tls` `https://HOST:PORT`.
 
-        Raises `ValueError` for an invalid address, certificate or token. Every call raises `ConnectionError` if the
+        Raises `ValueError` for an invalid address, certificate, token or time. Every call raises `ConnectionError` if the
         learner does not answer within `timeout_secs`, or refuses the call. To stop `s2mia train`, it needs the `token`
         of its run folder; by default, that of S2MIA_TOKEN is sent.
         """
+        if not (isinstance(timeout_secs, int | float) and 0.0 < timeout_secs < math.inf):
+            raise ValueError(f"timeout_secs is {timeout_secs!r}; it is a positive number")
         self.url, self.timeout_secs = url, timeout_secs
         self._connection = Connection(
             url, wire.ControlServiceStub, tls, insecure_allow_remote=insecure_allow_remote, token=token
@@ -123,7 +127,8 @@ class Client(Closing):
         The learner has the last 256 iterations since its start. Raises `ConnectionError` if the stream breaks; to
         continue, call again with the last iteration that was received.
         """
-        request = wire.WatchRunRequest(after_iteration=after_iteration)
+        after = whole("after_iteration", after_iteration, 0, 2**64 - 1)
+        request = wire.WatchRunRequest(after_iteration=after)
         with self._connection.errors():
             stream = self._connection.service.WatchRun(request)
         try:

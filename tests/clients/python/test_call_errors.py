@@ -168,3 +168,23 @@ def test_a_signal_stops_an_actor_without_a_traceback(serve, number):
 
 def test_a_status_without_a_code_is_one_line_too():
     assert str(CallError("a:1", grpc.RpcError("two\nlines\x1b"))) == "a:1: UNKNOWN: two lines<U+001B>"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        ({"timeout_secs": -1}, "timeout_secs is -1; it is a positive number"),
+        ({"timeout_secs": "a"}, "timeout_secs is 'a'; it is a positive number"),
+        ({"timeout_secs": float("nan")}, "timeout_secs is nan"),
+        ({"token": 5}, "token is a int; it is a text"),
+        ({"tls": True}, re.escape("tls is True; it is s2mia.Tls(ca, certificate, key)")),
+    ],
+)
+def test_an_argument_of_the_wrong_kind_is_refused_by_name(arguments, why):
+    with pytest.raises(ValueError, match=why):
+        s2mia.Client("127.0.0.1:1", **arguments)
+
+
+def test_a_negative_iteration_is_refused_by_name():
+    with pytest.raises(ValueError, match="after_iteration is -1; it must be a whole number"):
+        next(s2mia.Client("127.0.0.1:1").watch(-1))
