@@ -121,11 +121,6 @@ const TABLE: &[Rule] = &[
         &[Not("environment_service.url", "")],
         "environment_service.url; it must be none: only the simulator's episodes are logged",
     ),
-    rule(
-        Is("log.episodes", &["evaluation"]),
-        &[Zero("evaluation.every_steps")],
-        "evaluation.every_steps = 0; it must be none, all or a number, or there must be evaluations",
-    ),
 ];
 
 impl Rule {
@@ -248,7 +243,6 @@ mod tests {
             "influence.lambda = 0.01",
         ),
         (&["environment_service.url=http://localhost:7", "log.episodes=all"], "log.episodes = all"),
-        (&["log.episodes=evaluation", "evaluation.every_steps=0"], "log.episodes = evaluation"),
     ];
 
     #[test]

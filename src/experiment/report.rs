@@ -101,7 +101,7 @@ fn started(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<Started
             let (record, folder) = (file.record.display(), run.folder.display());
             started.damaged.push(format!(
                 "{record}: it has other results of {} than {folder}: the report leaves this run out; restore the record, or delete \
-                 the run's lines, which are then written again",
+                 the run's lines, which are then written again, or the folder",
                 run.name()
             ));
             continue;

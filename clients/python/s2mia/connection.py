@@ -132,7 +132,7 @@ def authorization(address: str, tls: Tls | None, token: str | None) -> list[tupl
     Raises `ValueError` for such a `token`, and for one that no header can contain.
     """
     if not isinstance(token, str | None):
-        raise ValueError(f"token is a {type(token).__name__}; it is a text")
+        raise ValueError(f"token has the type {type(token).__name__}; it is a text")
     if tls is None and not _is_loopback(_parts(address)[1]):
         if token:
             raise ValueError(f"{address}: the token would be readable in the network; use tls")

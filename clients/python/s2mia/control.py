@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import numbers
 from collections.abc import Iterator
 from typing import Any
 
@@ -105,7 +106,8 @@ class Client(Closing):
         learner does not answer within `timeout_secs`, or refuses the call. To stop `s2mia train`, it needs the `token`
         of its run folder; by default, that of S2MIA_TOKEN is sent.
         """
-        if not (isinstance(timeout_secs, int | float) and 0.0 < timeout_secs < math.inf):
+        is_number = isinstance(timeout_secs, numbers.Real) and not isinstance(timeout_secs, bool)
+        if not (is_number and 0.0 < timeout_secs < math.inf):
             raise ValueError(f"timeout_secs is {timeout_secs!r}; it is a positive number")
         self.url, self.timeout_secs = url, timeout_secs
         self._connection = Connection(

@@ -16,12 +16,7 @@ import threading
 
 from s2mia.arguments import Parser
 
-try:
-    from s2mia_environment.making import batch_of
-except ModuleNotFoundError as missing:
-    if missing.name not in ("gymnasium", "numpy"):
-        raise
-    sys.exit("s2mia_environment: it needs gymnasium: pip install 's2mia[environment]'")
+from s2mia_environment.making import batch_of
 from s2mia_environment.server import STREAMS, place_of, serve
 from s2mia_environment.streams import EnvironmentFailed
 from s2mia_environment.workers import WorkerLost

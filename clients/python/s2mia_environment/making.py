@@ -59,7 +59,7 @@ def _called(function: Callable, place: str, settings: dict):
         raise InvalidEnvironment(f"{error}; the arguments of {place} are {signature}, each as NAME=VALUE") from None
     try:
         return function(**settings)
-    except (ArithmeticError, AssertionError, AttributeError, LookupError, NotImplementedError, TypeError, ValueError) as error:
+    except (AssertionError, TypeError, ValueError) as error:
         # With arguments, these errors are nearly always about them.
         if not settings or isinstance(error, InvalidEnvironment):
             raise

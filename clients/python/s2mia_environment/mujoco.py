@@ -104,8 +104,14 @@ def multi_agent(
         raise InvalidEnvironment("agent_obsk must be a number; observation=full_id shows the whole state to every agent")
     if agent_conf is not None and not isinstance(agent_conf, str):
         raise InvalidEnvironment(f"agent_conf must be a text such as 2x3, or null for one agent, is {agent_conf}")
+    if agent_conf is None and scenario in ROBOTS:
+        raise InvalidEnvironment(f"agent_conf=null is not for {scenario}; name a partition of it, such as 2x3 of HalfCheetah")
     parts = factorization(scenario, agent_conf)
-    env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **more)
+    try:
+        env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **more)
+    except (AttributeError, LookupError, NotImplementedError) as error:
+        given = ", ".join(["scenario", "agent_conf", *more])
+        raise InvalidEnvironment(f"{type(error).__name__}: {error}; check {given}") from error
     # Joints of the same name, which Pusher has, are in the order of a set, which differs between processes.
     for near in getattr(env.unwrapped, "k_dicts", ()):
         for joints in near.values():
@@ -120,7 +126,7 @@ def multi_agent(
 
 
 def _with_kind_of(more: dict, made):
-    """The same environment. With settings its states are others than without: the same actions lead elsewhere."""
+    """The same environment, whose states have a kind of their own: with other settings, they may lead elsewhere."""
     if more:
         text = json.dumps(more, sort_keys=True, default=str)
         made.spec.state_kind += f"/{hashlib.sha256(text.encode()).hexdigest()[:16]}"

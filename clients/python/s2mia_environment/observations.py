@@ -49,7 +49,7 @@ def flat(what: str, space: spaces.Space, value) -> np.ndarray:
                 raise InvalidEnvironment(f"{what} has the entries {list(value)}, its space has {list(space)}")
             return np.concatenate([flat(f"{what}[{key!r}]", part, value[key]) for key, part in space.items()])
         case spaces.Tuple():
-            if not isinstance(value, Sequence):
+            if not isinstance(value, Sequence | np.ndarray):
                 raise InvalidEnvironment(f"{what} is {_short(value)}, its space has {len(space)} entries")
             if len(value) != len(space):
                 raise InvalidEnvironment(f"{what} has {len(value)} entries, its space has {len(space)}")

@@ -8,12 +8,16 @@ import traceback
 from collections.abc import Mapping
 
 import numpy as np
-from gymnasium import spaces
 from s2mia import wire
 
 from s2mia_environment.environment import Environment, InvalidEnvironment
 from s2mia_environment.notes import note
 from s2mia_environment.observations import LIMIT, flat, numbers, wrong
+
+try:
+    from gymnasium import spaces
+except ModuleNotFoundError as missing:
+    raise ModuleNotFoundError("s2mia_environment needs gymnasium: pip install 's2mia[environment]'") from missing
 
 # Defaults for environments that do not define their episode length or step time.
 EPISODE_STEPS = 1000

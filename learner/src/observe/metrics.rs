@@ -37,7 +37,7 @@ pub type Returns = BTreeMap<u64, f64>;
 /// An evaluation in `metrics.jsonl`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredReturn {
-    /// Of the evaluated policies.
+    /// Iteration of the evaluated policies.
     pub iteration: u64,
     /// Mean return.
     pub mean: f64,

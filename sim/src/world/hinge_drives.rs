@@ -30,7 +30,7 @@ pub(crate) struct HingeDrives {
     drives: Vec<Drive>,
     /// Whether a motor acts on a site.
     has_thrusts: bool,
-    /// Less of the motors' damping is no part of the step, N m s / rad.
+    /// Lower bound of a hinge's damping by motors that a step takes implicitly, N m s / rad.
     least_damping: f32,
 }
 
@@ -285,7 +285,7 @@ impl HingeDrives {
     }
 
     /// Computes the torques of motors and tendons. The part of a joint's servo that depends on the speed is damping, which
-    /// the engine integrates implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
+    /// a step may take implicitly, as MuJoCo's implicit integrators do; it ends where a range limits the torque.
     fn actuate(&mut self, hinges: &[HingeMap]) {
         let Self { motors, tendons, drives, has_thrusts, least_damping, .. } = self;
         for motor in motors {

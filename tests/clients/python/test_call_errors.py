@@ -176,7 +176,7 @@ def test_a_status_without_a_code_is_one_line_too():
         ({"timeout_secs": -1}, "timeout_secs is -1; it is a positive number"),
         ({"timeout_secs": "a"}, "timeout_secs is 'a'; it is a positive number"),
         ({"timeout_secs": float("nan")}, "timeout_secs is nan"),
-        ({"token": 5}, "token is a int; it is a text"),
+        ({"token": 5}, "token has the type int; it is a text"),
         ({"tls": True}, re.escape("tls is True; it is s2mia.Tls(ca, certificate, key)")),
     ],
 )

@@ -236,16 +236,17 @@ def test_the_team_is_paid_the_mean_and_ends_with_its_first_agent():
     assert game.step([np.full(2, 2.0)] * 2) == (2.0, True, False)
 
 
-def test_a_reward_that_all_share_is_the_teams_to_the_last_bit():
+def test_a_reward_in_single_precision_that_all_share_is_the_teams_to_the_last_bit():
     class Shared(Push):
-        possible_agents = ["one", "two", "three"]
+        # The mean of seven in single precision would be another number.
+        possible_agents = [f"agent_{index}" for index in range(7)]
         paid = np.float32(0.1)
 
         def step(self, actions):
             ends = dict.fromkeys(actions, False)
             return actions, dict.fromkeys(actions, self.paid), ends, ends, {}
 
-    assert Parallel(Shared()).step([np.zeros(2)] * 3)[0] == float(Shared.paid)
+    assert Parallel(Shared()).step([np.zeros(2)] * 7)[0] == float(Shared.paid)
 
 
 def test_a_kind_of_box_is_a_box():
@@ -257,6 +258,19 @@ def test_a_kind_of_box_is_a_box():
             return Own(-1.0, 1.0, (1,), np.float32)
 
     assert [agent.action.size for agent in Parallel(Unit()).spec.agents] == [1, 1]
+
+
+def test_an_array_is_an_observation_of_a_tuple_of_spaces():
+    class Pair(Follow):
+        def observation_space(self, agent):
+            return spaces.Tuple([spaces.Discrete(3), spaces.Discrete(3)])
+
+        def _look(self):
+            return {agent: np.array([sign, 1]) for agent, sign in super()._look().items()}
+
+    game = Parallel(Pair())
+    game.reset(bytes(32))
+    assert [row.tolist()[3:] for row in game.observe()[1]] == [[0, 1, 0]] * 2
 
 
 @pytest.mark.parametrize("seen", [np.ma.masked_array([1.0, 2.0], [True, False]), None, [[1.0], 2.0]])

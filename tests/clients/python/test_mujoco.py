@@ -231,6 +231,10 @@ def test_states_of_other_settings_have_another_kind():
     assert len(kinds) == 2
     with pytest.raises(ValueError, match="agent_conf must be a text such as 2x3, or null for one agent, is 2"):
         multi_agent("Hopper", 2)
+    with pytest.raises(ValueError, match="agent_conf=null is not for Ant"):
+        multi_agent("Ant", None)
+    with pytest.raises(ValueError, match="NotImplementedError: .*; check scenario, agent_conf"):
+        multi_agent("Walker", "2x3")
 
 
 def test_an_episode_ends_at_its_length_although_it_was_restored_on_the_way():

@@ -56,7 +56,7 @@ pub(super) fn tendons(root: &Element, context: &Context, links: &[LinkPlan]) -> 
         match element.tag.as_str() {
             "fixed" => fixed(&resolved, element, context, links).map(Some),
             // One without forces only measures.
-            _ if !PASSIVE.iter().any(|name| is_stated(&resolved, name)) => Ok(None),
+            _ if !PASSIVE.iter().any(|name| acts(&resolved, name)) => Ok(None),
             _ => {
                 let reason = "a spatial tendon with forces or limits is not supported; remove it";
                 Err(element.refuse(reason))
@@ -66,8 +66,11 @@ pub(super) fn tendons(root: &Element, context: &Context, links: &[LinkPlan]) -> 
     elements.filter_map(|element| context.blockers.keep(read(element)).flatten()).collect()
 }
 
-/// Whether an attribute has another number than 0.
-fn is_stated(element: &Element, name: &str) -> bool {
+/// Whether an attribute has another number than 0, and is no range without a limit.
+fn acts(element: &Element, name: &str) -> bool {
+    if name == "range" && element.text("limited") == Some("false") {
+        return false;
+    }
     let mut numbers = element.text(name).unwrap_or_default().split_ascii_whitespace();
     numbers.any(|number| number.parse() != Ok(0.0_f64))
 }

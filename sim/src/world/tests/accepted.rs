@@ -335,3 +335,12 @@ fn a_mesh_is_seen_from_its_reference_frame_before_it_is_scaled() {
     let turned = robot(&mjcf.replace("2 1 0 .5", "0 0 0 0")).err().unwrap();
     assert!(turned.contains("`refquat` has no direction"), "{turned}");
 }
+
+#[test]
+fn a_spatial_tendon_that_exerts_no_force_is_accepted() {
+    for attributes in ["", "stiffness=\"0\" damping=\"0.0\"", "limited=\"false\" range=\"0 .5\""] {
+        let tendon = format!("<tendon><spatial {attributes}/></tendon></mujoco>");
+        let mjcf = document(LOPSIDED, "").replace("</mujoco>", &tendon);
+        assert!(robot(&mjcf).is_ok(), "{attributes}");
+    }
+}
