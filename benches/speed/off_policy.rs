@@ -1,10 +1,9 @@
 //! Updates of the off-policy learning rules: for each optimiser step a batch from the replay, targets, critics and policies.
 
 use crate::Effort;
-use crate::clock::{Took, median};
 use crate::settings::CaseSettings;
 use crate::table::CaseRow;
-use crate::update::{Case, Updates};
+use crate::update::{self, Case};
 
 const TASK: &str = "halfcheetah-2x3";
 
@@ -28,24 +27,10 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
 }
 
 fn row(case: &Case, effort: Effort) -> anyhow::Result<CaseRow> {
-    let batch = case.batch();
-    let mut one = Updates::new(&case.settings, &case.problem, 1)?;
-    let mut two = Updates::new(&case.settings, &case.problem, 2)?;
-    let (mut single, mut double) = (Vec::new(), Vec::new());
-    for _ in 0..=effort.repeats.min(3) {
-        single.push(one.run(&batch)?.whole);
-        double.push(two.run(&batch)?.whole);
-    }
-    // The first iteration allocates.
-    let of = |clock: fn(&Took) -> f64, updates: &[Took]| median(updates[1..].iter().map(clock));
-    let (secs, steps) = (of(|took| took.wall, &double), optimiser_steps(case));
-    let figures = vec![
-        ("1 thread, processor s", of(|took| took.thread, &single)),
-        ("2 threads, s", secs),
-        ("2 threads, processor s", of(|took| took.process, &double)),
-        ("optimiser steps", steps),
-        ("2 threads, ms per optimiser step", 1e3 * secs / steps),
-    ];
+    let (mut figures, _) = update::whole(case, effort)?;
+    let ((_, secs), steps) = (figures[1], optimiser_steps(case));
+    figures.push(("optimiser steps", steps));
+    figures.push(("2 threads, ms per optimiser step", 1e3 * secs / steps));
     Ok(CaseRow { case: case.name.clone(), figures })
 }
 

@@ -2,12 +2,15 @@
 
 use serde_json::{Map, Value, json};
 
+/// Names with units, and values; NaN if unavailable on this machine.
+pub(crate) type Figures = Vec<(&'static str, f64)>;
+
 /// One case and its figures; all rows of a section have the same names, units included.
 pub(crate) struct CaseRow {
     /// Name of the case.
     pub(crate) case: String,
-    /// Names with units, and values; NaN if unavailable on this machine.
-    pub(crate) figures: Vec<(&'static str, f64)>,
+    /// Figures.
+    pub(crate) figures: Figures,
 }
 
 /// The rows of one section.

@@ -15,7 +15,7 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::clock::{Took, median, once, thread_secs};
 use crate::settings::{self, CaseSettings};
-use crate::table::CaseRow;
+use crate::table::{CaseRow, Figures};
 use crate::{Effort, synthetic};
 
 /// Tasks whose updates differ most.
@@ -68,25 +68,35 @@ pub(crate) fn rows(effort: Effort) -> anyhow::Result<Vec<CaseRow>> {
     cases()?.iter().map(|case| row(case, effort)).collect()
 }
 
-fn row(case: &Case, effort: Effort) -> anyhow::Result<CaseRow> {
+/// Medians of whole updates on one thread and on two, in turns, and the updates on one thread. The first of each, which
+/// allocates, is not counted.
+pub(crate) fn whole(case: &Case, effort: Effort) -> anyhow::Result<(Figures, Vec<Parts>)> {
     let batch = case.batch();
     let mut one = Updates::new(&case.settings, &case.problem, 1)?;
     let mut two = Updates::new(&case.settings, &case.problem, 2)?;
+    one.run(&batch)?;
+    two.run(&batch)?;
     let (mut single, mut double) = (Vec::new(), Vec::new());
-    for _ in 0..=effort.repeats.min(3) {
+    for _ in 0..effort.repeats.min(3) {
         single.push(one.run(&batch)?);
         double.push(two.run(&batch)?);
     }
-    let (single, double) = (&single[1..], &double[1..]);
-    let of = |part: fn(&Parts) -> f64, runs: &[Parts]| median(runs.iter().map(part));
-    let whole = of(|parts| parts.whole.thread, single);
-    let mut figures = vec![
-        ("1 thread, processor s", whole),
-        ("2 threads, s", of(|parts| parts.whole.wall, double)),
-        ("2 threads, processor s", of(|parts| parts.whole.process, double)),
-        ("density, s", of(|parts| parts.density, single)),
-        ("relabel, s", of(|parts| parts.relabel, single)),
+    let figures = vec![
+        ("1 thread, processor s", median_of(|parts| parts.whole.thread, &single)),
+        ("2 threads, s", median_of(|parts| parts.whole.wall, &double)),
+        ("2 threads, processor s", median_of(|parts| parts.whole.process, &double)),
     ];
+    Ok((figures, single))
+}
+
+fn median_of(part: fn(&Parts) -> f64, updates: &[Parts]) -> f64 {
+    median(updates.iter().map(part))
+}
+
+fn row(case: &Case, effort: Effort) -> anyhow::Result<CaseRow> {
+    let (mut figures, single) = whole(case, effort)?;
+    figures.push(("density, s", median_of(|parts| parts.density, &single)));
+    figures.push(("relabel, s", median_of(|parts| parts.relabel, &single)));
     let names =
         ["values, s", "advantages, s", "behaviour, s", "posteriors, s", "policies, s", "critic, s"];
     for (phase, name) in names.into_iter().enumerate() {
