@@ -121,6 +121,11 @@ const TABLE: &[Rule] = &[
         &[Not("environment_service.url", "")],
         "environment_service.url; it must be none: only the simulator's episodes are logged",
     ),
+    rule(
+        Is("log.episodes", &["evaluation"]),
+        &[Zero("evaluation.every_steps")],
+        "evaluation.every_steps = 0; it must be none, all or a number: no episode is an evaluation's",
+    ),
 ];
 
 impl Rule {
@@ -177,6 +182,7 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
         for (key, minibatches, (parts, most)) in [
             ("update.minibatches", training.update.minibatches, ("sequences", sequences)),
             ("critic.minibatches", training.critic.minibatches, critic),
+            ("influence.minibatches", influence.minibatches, ("steps", rows)),
         ] {
             // A preset's number may be larger than a small iteration; only the user's own must have an effect.
             if config.resolved.is_given(key) {
@@ -243,6 +249,7 @@ mod tests {
             "influence.lambda = 0.01",
         ),
         (&["environment_service.url=http://localhost:7", "log.episodes=all"], "log.episodes = all"),
+        (&["log.episodes=evaluation", "evaluation.every_steps=0"], "log.episodes = evaluation"),
     ];
 
     #[test]
@@ -345,6 +352,10 @@ mod tests {
             (
                 &["critic.core=gru", "critic.minibatches=101"],
                 "command line: critic.minibatches = 101 is out of range: at most 100, the number of sequences of an iteration",
+            ),
+            (
+                &["environments.count=2", "influence.minibatches=101"],
+                "command line: influence.minibatches = 101 is out of range: at most 100, the number of steps of an iteration",
             ),
         ] {
             let message = RunConfig::with(settings).expect_err("refused").to_string();

@@ -7,6 +7,7 @@ import hashlib
 import json
 import struct
 import sys
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -108,7 +109,8 @@ def multi_agent(
         raise InvalidEnvironment(f"agent_conf=null is not for {scenario}; name a partition of it, such as 2x3 of HalfCheetah")
     parts = factorization(scenario, agent_conf)
     try:
-        env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **more)
+        settings = _local_categories(scenario, more) | more
+        env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **settings)
     except (AttributeError, LookupError, NotImplementedError) as error:
         given = ", ".join(["scenario", "agent_conf", *more])
         raise InvalidEnvironment(f"{type(error).__name__}: {error}; check {given}") from error
@@ -123,6 +125,16 @@ def multi_agent(
     if observation != View.K_NEAREST:
         raise InvalidEnvironment(f"observation={observation} is only for {', '.join(ROBOTS)}, not for {scenario}")
     return _with_kind_of(more, MultiAgentMujoco(env, task))
+
+
+def _local_categories(scenario: str, more: dict) -> dict:
+    """The default `local_categories` without those that `include_CATEGORY_in_observation=false` leaves out, if any."""
+    if all(more.get(key, True) for key in more if key.startswith("include_")):
+        return {}
+    near = SimpleNamespace(agent_obsk=more.get("agent_obsk", 1))
+    categories = mamujoco_v1.parallel_env._generate_local_categories(near, scenario)
+    shown = [[name for name in depth if more.get(f"include_{name}_in_observation", True)] for depth in categories]
+    return {"local_categories": shown}
 
 
 def _with_kind_of(more: dict, made):

@@ -142,6 +142,16 @@ def test_an_agent_of_ant_2x4d_has_opposite_legs():
         assert np.allclose(hips[one], -hips[other], atol=0.1), "on opposite sides of the torso"
 
 
+@pytest.mark.parametrize("observation", ["full_id", "k_nearest"])
+def test_contact_forces_that_are_left_out_of_observations_are_left_out_of_every_agents(observation):
+    shown, hidden = (
+        multi_agent("Ant", "4x2", observation=observation, **settings).spec.agents[0].observation
+        for settings in ({}, {"include_cfrc_ext_in_observation": False})
+    )
+    contacts = [feature.name for feature in shown if feature.name.startswith("contact.")]
+    assert contacts and [feature for feature in shown if feature.name not in contacts] == list(hidden)
+
+
 def test_other_partitions_are_those_of_gymnasium_robotics_and_wrong_ones_are_refused():
     hopper = multi_agent("Hopper", "3x1").spec
     assert [list(agent.joints) for agent in hopper.agents] == [["thigh_joint"], ["leg_joint"], ["foot_joint"]]
