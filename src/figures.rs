@@ -45,6 +45,11 @@ const CELL_WIDTH: f64 = 340.0;
 
 const CELL_HEIGHT: f64 = 270.0;
 
+/// Width of a letter of the legend, and of a mark with its margins.
+const LETTER_WIDTH: f64 = 6.6;
+
+const MARK_WIDTH: f64 = 70.0;
+
 /// Marks on an axis, about.
 const TICKS: usize = 4;
 
@@ -163,13 +168,17 @@ fn grid(panels: &[Panel], columns: usize) -> Scene {
         (_, 1) => (WIDTH, CELL_HEIGHT),
         _ => (CELL_WIDTH, CELL_HEIGHT),
     };
+    let legend = legend(&distinct(panels));
+    let longest = legend.iter().map(|entry| entry.label.chars().count()).max().unwrap_or(0);
+    let row = MARK_WIDTH + LETTER_WIDTH * longest as f64;
+    let width = f64::max(width, row / columns as f64);
     let mut figure = Figure::new(panels.len().div_ceil(columns), columns)
         .with_structure((0..panels.len()).map(|panel| vec![panel]).collect())
         .with_plots(all)
         .with_layouts(layouts)
         .with_cell_size(width, height)
         .with_shared_legend_bottom()
-        .with_shared_legend_entries(legend(&distinct(panels)));
+        .with_shared_legend_entries(legend);
     if let Some(caption) = bands.caption() {
         figure = figure.with_title(caption).with_title_size(14);
     }

@@ -5,6 +5,6 @@ pub mod environments;
 pub mod evaluation;
 pub(crate) mod fail_points;
 pub mod prepare;
-pub(crate) mod provenance;
+pub mod provenance;
 pub mod reward_terms;
 pub mod trainer;

@@ -75,7 +75,7 @@ fn export(
     trained: &Trained,
     world: &mut dyn EnvironmentBatch,
 ) -> anyhow::Result<Vec<(String, String)>> {
-    let earlier = run_path::files(folder, is_exported)?;
+    let earlier = run_path::plain_files(folder, is_exported)?;
     target::demand_free("--onnx", earlier.clone(), existing)?;
     let snapshot = &trained.policy;
     let task = world.description();

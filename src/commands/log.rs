@@ -32,13 +32,12 @@ pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
     let all = sizes(&paths);
     let mut done = 0;
     let progress = WorkProgress::new();
-    let (mut cut_off, mut lost) = (0, 0);
+    let mut gaps = Gaps::default();
     let mut failures = Vec::new();
     for path in &paths {
         let checked = in_file(path, read_bytes(path)).and_then(|bytes| {
             let log = verify(path, &bytes, &progress)?;
-            cut_off += log.torn_steps;
-            lost += log.lost_shares();
+            gaps.add(&log);
             if arguments.replay { replay(path, &bytes, (done, all), &progress) } else { Ok(()) }
         });
         failures.extend(checked.err());
@@ -51,32 +50,69 @@ pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
             .for_each(|why| output::error(format!("error: {}", actor::causes(why.as_ref()))));
         return Err(last);
     }
-    if (cut_off, lost) == (0, 0) {
-        return Ok(());
+    gaps.demand_none()
+}
+
+/// What is missing in all files together.
+#[derive(Default, PartialEq)]
+struct Gaps {
+    /// Steps of shares that were cut off.
+    cut_off: u64,
+    /// Shares that the actors could not write.
+    lost: u64,
+    /// Shares that were written and are no longer there.
+    missing: u64,
+    /// Files whose end is missing, which states their shares.
+    endless: u64,
+}
+
+impl Gaps {
+    fn add(&mut self, log: &ReadShares) {
+        self.cut_off += log.torn_steps;
+        self.lost += log.lost_shares().unwrap_or(0);
+        self.missing += log.missing_shares().unwrap_or(0);
+        self.endless += u64::from(log.missing_shares().or(log.lost_shares()).is_none());
     }
-    Err(Incomplete(format!(
-        "{} of shares that were cut off, {}",
-        counted(cut_off, "step"),
-        counted(lost, "lost share")
-    ))
-    .into())
+
+    fn demand_none(&self) -> anyhow::Result<()> {
+        if *self == Self::default() {
+            return Ok(());
+        }
+        let mut gaps = vec![
+            format!("{} of shares that were cut off", counted(self.cut_off, "step")),
+            counted(self.lost, "lost share"),
+        ];
+        if self.missing > 0 {
+            gaps.push(format!(
+                "{} missing of those that were written",
+                counted(self.missing, "share")
+            ));
+        }
+        if self.endless > 0 {
+            let files = counted(self.endless, "file");
+            gaps.push(format!("{files} without the end that states the number of shares"));
+        }
+        Err(Incomplete(gaps.join(", ")).into())
+    }
 }
 
 /// Checks that a file is undamaged, and prints what it holds.
 fn verify(path: &Path, bytes: &[u8], progress: &WorkProgress) -> anyhow::Result<ReadShares> {
-    let (mut shares, mut steps) = (0, 0);
+    let mut steps = 0;
     let read = read_shares(bytes, |share| {
-        shares += 1;
         steps += share.steps.len() as u64;
         Ok(())
     });
     let log = in_file(path, read)?;
+    let lost = match log.lost_shares() {
+        Some(lost) => format!("{} lost by the actor", counted(lost, "share")),
+        None => "its end, which states the shares that were lost, is missing".to_owned(),
+    };
     progress.print(format!(
-        "{}: checksums and schemas are right: {}, {}; {} lost by the actor",
+        "{}: checksums and schemas are right: {}, {}; {lost}",
         path.display(),
-        counted(shares, "share"),
+        counted(log.shares, "share"),
         counted(steps, "step"),
-        counted(log.lost_shares(), "share")
     ));
     Ok(log)
 }

@@ -31,6 +31,7 @@ pub(crate) struct PlotArguments {
 /// Writes both files and prints their paths.
 pub(super) fn run(arguments: &PlotArguments) -> anyhow::Result<()> {
     let curves = learning_curve::read_all(&arguments.runs)?;
+    learning_curve::shortened(&curves).iter().for_each(|line| tracing::warn!("{line}"));
     let folder = folder(arguments)?;
     let (name, write): (_, fn(&Path, &[Curve]) -> _) = if arguments.ablation {
         (figures::ABLATION, figures::write_ablation)

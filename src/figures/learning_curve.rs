@@ -307,8 +307,36 @@ fn different<'a>(runs: &[&'a Curve]) -> BTreeSet<&'a String> {
 /// The algorithm, then each setting in which some run of the same task and algorithm differs.
 fn variant(curve: &Curve, different: &BTreeSet<&String>) -> String {
     let overrides = curve.settings.keys().filter(|key| different.contains(key));
-    let shown = overrides.map(|key| format!(" {key}={}", curve.settings[key].trim_matches('"')));
+    let shown = overrides.map(|key| format!(" {key}={}", brief(&curve.settings[key])));
     format!("{}{}", curve.algorithm, shown.collect::<String>())
+}
+
+/// A value as a name shows it: without quotes, eight digits of a SHA-256.
+fn brief(value: &str) -> &str {
+    let value = value.trim_matches('"');
+    let is_digest = |digits: &str| digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+    match value.len().checked_sub(64).and_then(|start| value.get(start..)) {
+        Some(digits) if is_digest(digits) => &value[..value.len() - 56],
+        _ if value.is_empty() => "none",
+        _ => value,
+    }
+}
+
+/// A line for each variant of a task whose runs end at different steps, as its curve has no more steps than the shortest.
+pub(crate) fn shortened(curves: &[Curve]) -> Vec<String> {
+    let line = |((task, name), group): ((&str, String), Vec<&Curve>)| {
+        let ends = group.iter().filter_map(|curve| Some(curve.of(Quantity::Return).last()?.0));
+        let (first, last) = ends
+            .fold((f64::INFINITY, 0.0_f64), |(first, last), end| (first.min(end), last.max(end)));
+        let [shown, most] = [first, last].map(|end| chart::thousands(end as u64));
+        (first < last).then(|| {
+            format!(
+                "{task}: the curve of {name} ends at {shown} env steps with the shortest of its {} runs; the longest has {most}",
+                group.len()
+            )
+        })
+    };
+    grouped(curves).into_iter().filter_map(line).collect()
 }
 
 /// Text of each variant in the legend: its name, and its seed or the number of seeds.

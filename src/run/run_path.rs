@@ -121,11 +121,17 @@ pub(crate) fn target(
     Ok(Target::named(option, &file, &extension, existing)?)
 }
 
-/// The files of a folder whose names `belong`, in the order of their names. Refuses pipes and devices, which would block.
+/// What is in a folder under names that `belong`, in the order of the names.
 pub(crate) fn files(folder: &Path, belong: fn(&str) -> bool) -> io::Result<Vec<PathBuf>> {
     let paths = folder.read_dir()?.filter_map(|entry| Some(entry.ok()?.path()));
     let mut paths: Vec<_> = paths.filter(|path| file_name(path).is_some_and(belong)).collect();
     paths.sort();
+    Ok(paths)
+}
+
+/// As [`files`], but refuses pipes and devices, which would block.
+pub(crate) fn plain_files(folder: &Path, belong: fn(&str) -> bool) -> io::Result<Vec<PathBuf>> {
+    let paths = files(folder, belong)?;
     let waits = |path: &&PathBuf| path.metadata().is_ok_and(|found| !found.is_file());
     match paths.iter().find(waits).and_then(|path| Some((path, plain_file::refusal(path)?))) {
         None => Ok(paths),

@@ -14,6 +14,7 @@ use learner::config::EPISODES_LIMIT;
 use learner::observe::event::Event;
 use learner::store::checkpoint::Loaded;
 use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder, START_POLICIES};
+use learner::train::provenance::BEGUN_AGAIN;
 use proto::Digest;
 use serde_json::Value;
 use tokio::runtime::Runtime;
@@ -137,7 +138,7 @@ impl<'a> Verifier<'a> {
             let folder = self.scratch.0.join(format!("{}-{}", part.start, evaluations.sampled));
             let found = self.compute((part, &evaluations), &folder, reached.clone())?;
             if let Err(why) = self.compare((part, &evaluations), &found, &mut confirmed) {
-                anyhow::bail!("{}; {}", actor::causes(why.as_ref()), self.programs()?);
+                anyhow::bail!("{}; {}", actor::causes(why.as_ref()), self.reason(part)?);
             }
             remove(&folder);
         }
@@ -294,8 +295,16 @@ impl<'a> Verifier<'a> {
         Ok(())
     }
 
-    /// Who computed the two results that differ.
-    fn programs(&self) -> anyhow::Result<String> {
+    /// Why two results of a part may differ: episodes that were not continued, or who computed them.
+    fn reason(&self, part: Part) -> anyhow::Result<String> {
+        let mut lines = self.recorded.provenance.range(part.start + 1..=part.end);
+        if let Some((iteration, line)) = lines.find(|(_, line)| !line[BEGUN_AGAIN].is_null()) {
+            return Ok(format!(
+                "in iteration {iteration}, environments {} failed and began new episodes ({PROVENANCE}), which depends on when \
+                 they fail",
+                line[BEGUN_AGAIN]
+            ));
+        }
         let builds = self.recorded.builds()?;
         let others: Vec<_> = builds.iter().filter(|build| **build != BUILD).cloned().collect();
         let foreign = self.recorded.manifest["foreign_actors"] == Value::Bool(true);

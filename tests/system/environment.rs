@@ -130,6 +130,15 @@ fn a_run_continues_if_its_program_rejects_the_states_that_it_saved() {
         weights(&folder)
     });
     assert_eq!(hashes[0], hashes[1], "new episodes have the same keys for any actors");
+    let folder = runs.folder("run.actors=1");
+    let provenance = std::fs::read_to_string(folder.join("provenance.jsonl")).unwrap();
+    assert!(provenance.contains(r#""begun_again":["#), "{provenance}");
+    let address = service.url.trim_start_matches("http://").to_owned();
+    drop(service);
+    let _healthy = CueService::start_at(&address, Faults::NONE);
+    let line = error(&s2mia(&["verify", text(&folder)]));
+    let why = "failed and began new episodes (provenance.jsonl), which depends on when they fail";
+    assert!(line.contains("is not verified: ") && line.contains(why), "{line}");
 }
 
 /// The last line with which training in `folder` fails with `faults`.

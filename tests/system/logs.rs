@@ -82,4 +82,12 @@ fn files_that_are_no_whole_logs_are_rejected_in_one_line() {
     for part in ["cut.mcap: not finished", "not an MCAP file", "checksums and schemas are right"] {
         assert!(lines.contains(part), "files after a damaged one are checked: {lines}");
     }
+    let mixed = runs.folder("mixed");
+    std::fs::create_dir_all(mixed.join("trajectories-folder-0000.mcap")).unwrap();
+    std::fs::copy(whole, mixed.join("trajectories-whole-0000.mcap")).unwrap();
+    let (status, lines) = told(s2mia(&["log", text(&mixed)]));
+    assert_eq!(status, Some(1));
+    for part in ["it is a directory, not a plain file", "checksums and schemas are right"] {
+        assert!(lines.contains(part), "files beside another thing are checked: {lines}");
+    }
 }

@@ -12,6 +12,10 @@ use crate::store::durable::FileError;
 use crate::store::json_lines::JsonLines;
 use crate::store::run_folder::PROVENANCE;
 
+/// Key of the environments that began a new episode because theirs could not be continued. The iteration is no function of
+/// the configuration and seed then.
+pub const BEGUN_AGAIN: &str = "begun_again";
+
 /// The provenance of a run, open for more.
 #[derive(Debug)]
 pub(crate) struct Provenance {
@@ -25,6 +29,8 @@ pub(crate) struct WeightsOrigin<'a> {
     pub(crate) iteration: u64,
     /// The weights with which actors rolled out.
     pub(crate) behaviour: WeightsName,
+    /// Environments that began a new episode because theirs could not be continued.
+    pub(crate) begun_again: &'a [u32],
     /// What they rolled out.
     pub(crate) rollouts: &'a [SlotRollout],
     /// The densities fitted on it, `theta_k`.
@@ -50,7 +56,7 @@ impl Provenance {
     /// # Errors
     /// Names the file if it cannot be written.
     pub(crate) fn iteration(&mut self, origin: &WeightsOrigin<'_>) -> Result<(), FileError> {
-        self.lines.append(&json!({
+        let mut line = json!({
             "iteration": origin.iteration,
             "behaviour": {
                 "version": origin.behaviour.version.0,
@@ -60,7 +66,11 @@ impl Provenance {
             "order": order(origin.report),
             "density_sha256": hex(&sha256(origin.density)),
             "weights_sha256": origin.weights_sha256,
-        }))
+        });
+        if !origin.begun_again.is_empty() {
+            line[BEGUN_AGAIN] = json!(origin.begun_again);
+        }
+        self.lines.append(&line)
     }
 
     /// Waits until the disk has all lines.

@@ -106,7 +106,34 @@ fn a_slot_that_continues_episodes_begins_again_after_four_failures() {
         let held = lease(&mut table, own);
         let effects = give_back(&mut table, (own, &held), LeaseFailure::Environment);
         assert_eq!(matches!(effects[..], [Effect::BeginAgain(_)]), times == 4, "{effects:?}");
+        table.tick(TTL * times as u32);
     }
+}
+
+#[test]
+fn a_short_outage_of_an_environment_ends_no_episode() {
+    let mut table = table(1);
+    table.open_iteration(weights(), vec![continued()]);
+    let [one, two] = [1, 2].map(|connection| actor(&mut table, connection));
+    let fail = |table: &mut SlotTable, own| {
+        let held = lease(table, own);
+        assert_eq!(give_back(table, (own, &held), LeaseFailure::Environment), []);
+    };
+    fail(&mut table, one);
+    fail(&mut table, two);
+    let waits =
+        |table: &mut SlotTable| [one, two].iter().all(|own| own.ask(table) == Ok(Offer::Nothing));
+    assert!(
+        waits(&mut table),
+        "at once after the first failure, then after a quarter of a time to live"
+    );
+    table.tick(TTL / 4);
+    fail(&mut table, one);
+    table.tick(TTL / 2);
+    assert!(waits(&mut table));
+    table.tick(TTL * 3 / 4);
+    let held = lease(&mut table, two);
+    assert!(matches!(complete(&mut table, &held)[..], [Effect::Iteration(_)]));
 }
 
 #[test]

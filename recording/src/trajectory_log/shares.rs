@@ -26,6 +26,8 @@ pub struct ReadShares {
     pub task_settings: String,
     /// The run's resolved settings as TOML.
     pub settings_toml: String,
+    /// Number of complete shares.
+    pub shares: u64,
     /// Number of steps of incomplete shares.
     pub torn_steps: u64,
 }
@@ -53,6 +55,7 @@ pub fn read_shares(
             },
             other => {
                 if let Some(share) = assembler.take(other)? {
+                    log.shares += 1;
                     on_share(share)?;
                 }
             }
@@ -222,11 +225,20 @@ impl Assembler {
 }
 
 impl ReadShares {
-    /// Number of shares that the actor could not write, as the end of the log reports it.
+    /// Number of shares that the actor could not write; `None` if the end of the log, which states it, is missing.
     #[must_use]
-    pub fn lost_shares(&self) -> u64 {
-        let count = self.totals.as_ref().and_then(|totals| totals.get("lost_shares"));
-        count.and_then(|count| count.parse().ok()).unwrap_or(0)
+    pub fn lost_shares(&self) -> Option<u64> {
+        self.total("lost_shares")
+    }
+
+    /// Number of shares that the actor wrote and that are no longer in the log, whole; `None` as above.
+    #[must_use]
+    pub fn missing_shares(&self) -> Option<u64> {
+        Some(self.total("shares")?.saturating_sub(self.shares))
+    }
+
+    fn total(&self, figure: &str) -> Option<u64> {
+        self.totals.as_ref()?.get(figure)?.parse().ok()
     }
 
     /// Settings of the task.

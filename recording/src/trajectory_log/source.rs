@@ -45,12 +45,25 @@ pub(super) fn new_log(folder: &Path, actor: &str) -> Result<(PathBuf, File), Rec
 /// # Errors
 /// If the file cannot be read or is not an MCAP file.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, LogError> {
-    let bytes = std::fs::read(path).map_err(LogError::Read)?;
-    if bytes.starts_with(mcap::MAGIC) { Ok(bytes) } else { Err(LogError::NotMcap) }
+    let mut file = open(path)?;
+    let mut bytes = Vec::new();
+    let magic = mcap::MAGIC.len() as u64;
+    file.by_ref().take(magic).read_to_end(&mut bytes).map_err(LogError::Read)?;
+    if bytes != mcap::MAGIC {
+        return Err(LogError::NotMcap);
+    }
+    file.read_to_end(&mut bytes).map_err(LogError::Read)?;
+    Ok(bytes)
 }
 
-/// Opens a file.
+/// Opens a plain file: a pipe would block, and a device may have no end.
 pub(super) fn open(path: &Path) -> Result<File, LogError> {
+    let found = std::fs::metadata(path).map_err(LogError::Read)?;
+    if !found.is_file() {
+        let what = if found.is_dir() { "a directory" } else { "a pipe, device or socket" };
+        let why = format!("it is {what}, not a plain file");
+        return Err(LogError::Read(std::io::Error::other(why)));
+    }
     File::open(path).map_err(LogError::Read)
 }
 

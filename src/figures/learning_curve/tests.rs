@@ -66,6 +66,32 @@ fn runs_with_other_settings_are_never_joined_and_are_told_apart_by_them() {
 }
 
 #[test]
+fn names_have_eight_digits_of_a_digest_and_a_word_for_an_empty_value() {
+    let digest = "0123456789abcdef".repeat(4);
+    for (value, expected) in [
+        (format!("\"{digest}\""), "01234567"),
+        (format!("a text with the SHA-256 {digest}"), "a text with the SHA-256 01234567"),
+        ("\"\"".to_owned(), "none"),
+        (format!("{digest}g"), &format!("{digest}g")),
+        ("0.25".to_owned(), "0.25"),
+    ] {
+        assert_eq!(brief(&value), expected);
+    }
+}
+
+#[test]
+fn a_curve_that_ends_with_the_shortest_of_its_runs_is_named() {
+    let long = curve("happo", 1, &[(0.0, 1.0), (8000.0, 2.0)]);
+    let short = curve("happo", 2, &[(0.0, 1.0), (4000.0, 2.0)]);
+    let alone = curve("mappo", 1, &[(0.0, 1.0)]);
+    let lines = shortened(&[long.clone(), short, alone.clone()]);
+    let expected = "halfcheetah-2x3: the curve of happo ends at 4,000 env steps with the shortest of its 2 runs; the longest has \
+                    8,000";
+    assert_eq!(lines, [expected]);
+    assert!(shortened(&[long, alone]).is_empty());
+}
+
+#[test]
 fn runs_of_one_seed_are_refused_and_runs_that_are_evaluated_otherwise_are_not_joined() {
     let runs = tempfile::tempdir().unwrap();
     let run = |name: &str, settings: &[&str]| {

@@ -58,6 +58,8 @@ struct Failed {
     /// When a failure counted first.
     first: Option<Duration>,
     last: Duration,
+    /// Time after the last failure in which no process may try.
+    wait: Duration,
     /// The trainer replaces the work, or the run ends: it is not leased.
     decided: bool,
 }
@@ -67,7 +69,7 @@ impl Failures {
         Self { ttl, works: BTreeMap::new() }
     }
 
-    /// Whether `process` may try the work now. One that failed waits for the `others`, the registered processes, but not
+    /// Whether `process` may try the work now. Nobody may while the work waits; one that failed waits for the `others`, the registered processes, but not
     /// longer than a time to live.
     pub(super) fn may_try(
         &self,
@@ -77,6 +79,9 @@ impl Failures {
         now: Duration,
     ) -> bool {
         let Some(failed) = self.works.get(&key) else { return true };
+        if now < failed.last + failed.wait {
+            return false;
+        }
         let waits = || failed.is_untried_by(others) && now < failed.last + self.ttl;
         !(failed.decided || failed.is_by(process) && waits())
     }
@@ -95,10 +100,11 @@ impl Failures {
         failed.add(process, now);
     }
 
-    /// When work that waits for processes that have not tried it is next free for the others.
+    /// When work that waits, for a time or for processes that have not tried it, is next free for more processes.
     pub(super) fn next_try(&self, now: Duration) -> Option<Duration> {
         let undecided = self.works.values().filter(|failed| !failed.decided);
-        undecided.map(|failed| failed.last + self.ttl).filter(|at| *at > now).min()
+        let free = |failed: &Failed| [failed.last + failed.wait, failed.last + self.ttl];
+        undecided.flat_map(free).filter(|at| *at > now).min()
     }
 
     /// Counts a failure. `others` are the registered processes.
@@ -120,6 +126,13 @@ impl Failures {
         let first = *failed.first.get_or_insert(now);
         let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
         let tried_by_all = !failed.is_untried_by(others) || now >= first + self.ttl * most;
+        // Episodes are not given up for a short outage of their environment.
+        failed.wait = match (begin, failure) {
+            (Begin::Continued, LeaseFailure::Environment) => {
+                self.ttl * (failed.times - 1).min(MOST_CONTINUED) / MOST_CONTINUED
+            }
+            _ => Duration::ZERO,
+        };
         let verdict = match begin {
             _ if failed.decided => Verdict::Retry,
             Begin::Continued

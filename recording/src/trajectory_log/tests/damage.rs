@@ -7,7 +7,9 @@ use mcap::records::op;
 use mcap::sans_io::linear_reader::LinearReaderOptions;
 use serde_json::json;
 
+use super::slot_log;
 use crate::mcap_file::{McapFile, Schema};
+use crate::trajectory_log::file::TOTALS_NAME;
 use crate::trajectory_log::source::read_bytes;
 use crate::trajectory_log::{LogError, read_shares, records};
 
@@ -61,6 +63,57 @@ fn other_files_are_rejected_with_a_one_line_error() {
     assert!(missing.contains("cannot read"), "{missing}");
     let foreign = read_shares(&small_file(), |_| Ok(())).unwrap_err().to_string();
     assert!(foreign.contains("not a trajectory log"), "{foreign}");
+}
+
+/// A log without its share number `left_out` and, unless it `ends`, without its totals.
+fn copy_without(bytes: &[u8], left_out: usize, ends: bool) -> Vec<u8> {
+    let options = mcap::WriteOptions::new().compression(None);
+    let mut copy = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+    let summary = mcap::Summary::read(bytes).unwrap().unwrap();
+    for index in &summary.attachment_indexes {
+        copy.attach(&mcap::read::attachment(bytes, index).unwrap()).unwrap();
+    }
+    for index in &summary.metadata_indexes {
+        let metadata = mcap::read::metadata(bytes, index).unwrap();
+        if ends || metadata.name != TOTALS_NAME {
+            copy.write_metadata(&metadata).unwrap();
+        }
+    }
+    let mut begun = 0;
+    for message in mcap::MessageStream::new(bytes).unwrap() {
+        let message = message.unwrap();
+        begun += usize::from(message.channel.topic == "/share");
+        if begun != left_out {
+            copy.write(&message).unwrap();
+        }
+    }
+    copy.finish().unwrap();
+    copy.into_inner().into_inner()
+}
+
+#[test]
+fn shares_that_are_no_longer_in_a_log_are_counted_if_its_end_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = read_bytes(&slot_log(folder.path()).0).unwrap();
+    for (left_out, ends, shares, missing) in
+        [(0, true, 3, Some(0)), (2, true, 2, Some(1)), (2, false, 2, None)]
+    {
+        let log = read_shares(&copy_without(&bytes, left_out, ends), |_| Ok(())).unwrap();
+        assert_eq!((log.shares, log.missing_shares()), (shares, missing));
+        assert_eq!(log.lost_shares(), ends.then_some(0));
+        assert_eq!(log.torn_steps, 0);
+    }
+}
+
+#[test]
+fn only_plain_files_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for path in [&pipe, std::path::Path::new("/dev/zero"), folder.path()] {
+        let line = read_bytes(path).unwrap_err().to_string();
+        assert!(line.ends_with(", not a plain file"), "{line}");
+    }
 }
 
 #[test]
