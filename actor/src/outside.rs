@@ -62,7 +62,11 @@ impl EnvironmentService {
         let offered = client.describe().await?;
         let states = if offered.max_state_bytes > 0 { States::Saved } else { States::Replayed };
         let spec = spec_of_run(&offered, states).ok_or_else(|| {
-            ActorError::environment_url(url, "the actions of an episode need more than 4 GiB")
+            let why = match states {
+                States::Saved => "its max_state_bytes are too many; a state has at most 4 GiB",
+                States::Replayed => "the actions of an episode need more than 4 GiB",
+            };
+            ActorError::environment_url(url, why)
         })?;
         Ok(Self { client, offered, states, spec })
     }

@@ -142,6 +142,11 @@ impl EnvironmentSpec {
         for (i, agent) in self.agents.iter().enumerate() {
             let agent_field = format!("{field}.agents[{i}]");
             agent.check_names(&agent_field)?;
+            if let Some(other) = self.agents[..i].iter().position(|other| other.name == agent.name)
+            {
+                let detail = format!("{:?} is also the name of agents[{other}]", agent.name);
+                return Err(bad_value(&format!("{agent_field}.name"), detail));
+            }
             agent.action.check(&format!("{agent_field}.action.choices"))?;
             agent.check_indices(self.state.len(), &format!("{agent_field}.seen"))?;
         }

@@ -161,7 +161,10 @@ impl EnvironmentBatch for RobotEnvironments {
     }
 
     fn warnings(&self) -> Vec<String> {
-        warnings::warnings(&self.robot, &self.rules)
+        let motors = self.robot.blueprint.motors.iter();
+        let mut controls: Vec<[f32; 2]> = motors.map(|motor| motor.range).collect();
+        self.motors.iter().for_each(|driven| controls[driven.motor] = driven.range);
+        warnings::warnings(&self.robot, &self.rules, &controls)
     }
 
     fn state_bounds(&self) -> Option<&StateBounds> {

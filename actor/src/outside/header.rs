@@ -51,7 +51,10 @@ pub(super) fn read_header(
     let step = (number >> 64) as u32;
     let limit = (number >> 96) as u32;
     if step >= limit || limit > longest {
-        let why = format!("its step is {step} of {limit}; an episode has at most {longest} steps");
+        let why = format!(
+            "its step is {step} of {limit}, an episode has at most {longest} steps; a state begins with its episode (u64), \
+             step and limit (u32)"
+        );
         return Err(StateError(why).into());
     }
     Ok((EpisodePosition { episode, step, limit }, rest))

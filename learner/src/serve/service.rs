@@ -16,7 +16,7 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Code, Request, Response, Status, Streaming};
 use tonic_health::pb::health_server;
 use tonic_reflection::server::Builder;
 
@@ -236,6 +236,17 @@ impl LearnerService for Learner {
             .map_err(|refusal| self.counted(&caller, refusal))?;
         Ok(Response::new(wire::ReturnLeaseResponse {}))
     }
+}
+
+/// The refusal for an unreadable message; `None` if the peer disconnected.
+fn unreadable(status: &Status) -> Option<Refusal> {
+    let reason = match status.code() {
+        // tonic's status for a message over the limit.
+        Code::OutOfRange | Code::ResourceExhausted => Reason::TooLarge,
+        Code::Internal => Reason::Undecodable,
+        _ => return None,
+    };
+    Some(Refusal::new(reason, "message", status.message()))
 }
 
 /// Logs and counts a refusal of a message for `lease` and converts it to a status.

@@ -15,17 +15,24 @@ const SMALLEST_EXCESS: f32 = 1e-3;
 const MOST_NAMED: usize = 6;
 
 /// One sentence for each problem, with what to change.
-pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules) -> Vec<String> {
+///
+/// `controls` are each motor's for the actions -1 and 1, in the order of the model's actuators.
+pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules, controls: &[[f32; 2]]) -> Vec<String> {
     let (coordinates, velocities) = rules.start_pose(robot);
     let mut world = World::new(Arc::clone(robot));
     world.rebuild(&coordinates, &velocities);
-    let mut warnings = robot.hard_to_explore();
+    let mut warnings = robot.hard_to_explore(controls);
     warnings.extend(floor(robot));
     warnings.extend(overlaps(&world));
     warnings.extend(terrain(&world, robot, rules));
     warnings.extend(limits(robot, &coordinates));
     warnings.extend(unnamed(robot, rules));
     warnings.extend(unhealthy(robot, rules));
+    if !rules.can_vary() {
+        let why = "all episodes have the same return, so nothing is learnt: add a [[reward]] or [[cost]] with a weight, or \
+            [[healthy]] bounds for `alive`";
+        warnings.push(why.to_owned());
+    }
     warnings
 }
 

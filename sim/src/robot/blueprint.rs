@@ -321,16 +321,18 @@ impl Blueprint {
 
     /// Replaces what a task states of the softness and margin of all contacts and limits.
     pub(crate) fn soften(&mut self, contacts: ContactOverride, limits: &SoftnessOverride) {
+        let step_secs = self.timestep_secs;
         for pair in &mut self.contacts.pairs {
-            pair.contact.softness = pair.contact.softness.with(&contacts.softness);
-            let own = pair.contact.friction_softness.map(|own| own.with(&contacts.softness));
+            pair.contact.softness = pair.contact.softness.with(&contacts.softness, step_secs);
+            let own =
+                pair.contact.friction_softness.map(|own| own.with(&contacts.softness, step_secs));
             pair.contact.friction_softness = own;
             pair.contact.margin = contacts.margin.unwrap_or(pair.contact.margin);
         }
         self.contacts.stated = contacts;
         for link in &mut self.links {
             if let JointPlan::Hinge(hinge) | JointPlan::Ball(hinge) = &mut link.joint {
-                hinge.limit = hinge.limit.with(limits);
+                hinge.limit = hinge.limit.with(limits, step_secs);
             }
         }
     }

@@ -14,20 +14,29 @@ const SLOWEST_ACCELERATION: f32 = 0.1;
 const SMALLEST_TARGET: f32 = 0.01;
 
 impl Robot {
-    /// Motors that a policy can hardly explore: one sentence each with the joint, the reason and what to change.
-    pub(crate) fn hard_to_explore(&self) -> Vec<String> {
-        let about = |motor: &MotorPlan| {
+    /// Motors that a policy can hardly explore: one sentence each with the joint, the reason and what to change. `controls` are
+    /// each motor's for the actions -1 and 1.
+    pub(crate) fn hard_to_explore(&self, controls: &[[f32; 2]]) -> Vec<String> {
+        let about = |(motor, controls): (&MotorPlan, &[f32; 2])| {
             let hinge = &self.layout.hinges[motor.moved.only_hinge()?];
-            let drive = Drive { motor, hinge, step_secs: self.physics_step_secs() as f32 };
-            drive.fault().map(|why| format!("the motor of `{}` {why}", motor.joint))
+            let step_secs = self.physics_step_secs() as f32;
+            let why = Drive { motor, controls: *controls, hinge, step_secs }.fault()?;
+            let width = |[low, high]: [f32; 2]| high - low;
+            let excess = width(*controls) - width(motor.range);
+            let is_scaled = excess.abs() > 1e-3 * width(motor.range);
+            let why = if is_scaled { why.replace("`ctrlrange`", "`actions.scale`") } else { why };
+            Some(format!("the motor of `{}` {why}", motor.joint))
         };
-        self.blueprint.motors.iter().filter(|motor| !motor.integrates()).filter_map(about).collect()
+        let motors = self.blueprint.motors.iter().zip(controls);
+        motors.filter(|(motor, _)| !motor.integrates()).filter_map(about).collect()
     }
 }
 
 /// A motor on its joint.
 struct Drive<'a> {
     motor: &'a MotorPlan,
+    /// Controls for the actions -1 and 1.
+    controls: [f32; 2],
     hinge: &'a HingeMap,
     /// Duration of a physics step, s.
     step_secs: f32,
@@ -50,7 +59,7 @@ impl Drive<'_> {
         }
         let ends = |by: f32| {
             let (gain, [constant, ..]) = self.law();
-            let [a, b] = self.motor.range.map(|control| (gain * control + constant) * by);
+            let [a, b] = self.controls.map(|control| (gain * control + constant) * by);
             [a.min(b), a.max(b)]
         };
         match (stiffness, slope) {
@@ -163,7 +172,12 @@ mod tests {
         assert!(model.contains(hip));
         let file = TaskFile::parse(include_str!("../../assets/hopper.toml")).unwrap();
         let robot = Robot::build(file.robot_row(model.replace(hip, motor))).unwrap();
-        robot.hard_to_explore()
+        robot.hard_to_explore(&controls(&robot))
+    }
+
+    /// The controls of all motors for the actions -1 and 1 without `[actions]`.
+    fn controls(robot: &Robot) -> Vec<[f32; 2]> {
+        robot.blueprint.motors.iter().map(|motor| motor.range).collect()
     }
 
     #[test]

@@ -107,10 +107,10 @@ impl Softness {
         is_critical(&self.reference) && [self.midpoint, self.power] == [0.5, 2.0]
     }
 
-    /// The softness with other numbers.
-    pub(super) fn with(&self, other: &SoftnessOverride) -> Self {
-        let timed =
-            |time_constant_secs| Reference::Timed { time_constant_secs, damping_ratio: 1.0 };
+    /// The softness with other numbers, for a physics step of `step_secs`. A stated time constant is of a critically damped
+    /// spring.
+    pub(super) fn with(&self, other: &SoftnessOverride, step_secs: f64) -> Self {
+        let timed = |secs: f32| Reference::new([f64::from(secs), 1.0], step_secs);
         Self {
             reference: other.time_constant_secs.map_or(self.reference, timed),
             impedance: other.impedance.unwrap_or(self.impedance),
@@ -242,6 +242,18 @@ mod tests {
         assert!((softness.impedance_at(0.005) - 0.4).abs() < 1e-6);
         assert_eq!(softness.impedance_at(0.02), 0.8);
         assert!((softness.compliance(0.02) - 0.25).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_stated_time_constant_is_at_least_two_steps_as_a_models() {
+        for (stated, expected) in [(0.001, 0.004), (0.004, 0.004), (0.3, 0.3)] {
+            let other = SoftnessOverride { time_constant_secs: Some(stated), ..Default::default() };
+            let with = DEFAULT.with(&other, 0.002).stiffness_and_damping();
+            let model = Softness::new([f64::from(stated), 1.0], Softness::DEFAULT.1, 0.002);
+            assert_eq!(with, model.stiffness_and_damping());
+            let plain = Reference::Timed { time_constant_secs: expected, damping_ratio: 1.0 };
+            assert_eq!(with, Softness { reference: plain, ..DEFAULT }.stiffness_and_damping());
+        }
     }
 
     #[test]

@@ -121,7 +121,7 @@ impl Surface {
             dimensions: chosen.dimensions as usize,
             friction: [slide, slide, twist, roll, roll],
             margin: stated.margin.unwrap_or(margin as f32),
-            softness: softness.with(&stated.softness),
+            softness: softness.with(&stated.softness, step_secs),
             friction_softness: None,
         }
     }

@@ -37,6 +37,8 @@ impl Watched {
             || of_coordinate.is_some_and(in_quaternion)
         {
             [-1.0, 1.0]
+        } else if let Some(index) = of_coordinate {
+            reachable(robot, index)
         } else {
             let is_velocity = matches!(self, Self::Feature(_)) && name.ends_with(".velocity");
             let largest = largest_velocity.filter(|_| is_velocity);
@@ -52,6 +54,11 @@ impl Watched {
             Self::Upright(tilt) => terms::upright(motion, tilt),
         }
     }
+}
+
+/// The values that a coordinate has before the state is out of bounds, which ends the episode.
+pub(super) fn reachable(robot: &Robot, index: usize) -> [f32; 2] {
+    robot.layout.coordinate_bounds[index].map(|end| end + robot.reference()[index])
 }
 
 impl HealthyRow {

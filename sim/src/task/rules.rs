@@ -13,7 +13,7 @@ use super::healthy::{Watched, checked_healthy};
 use super::names::Names;
 use super::relations::{RelationFeature, Relations};
 use super::start::Start;
-use super::terms::{Transition, WeightedSum};
+use super::terms::{Term, Transition, WeightedSum};
 use crate::error::{SimError, short};
 use crate::robot::{Orientation, Robot};
 use crate::state::EpisodeDraws;
@@ -128,6 +128,13 @@ impl Rules {
                 format!("`healthy.{}` ({}, is {})", row.name(), row.bounds(), short(value))
             })
             .collect()
+    }
+
+    /// Whether episodes can have different returns.
+    pub(crate) fn can_vary(&self) -> bool {
+        let ends = !self.healthy.is_empty();
+        let mut terms = self.reward.weighted().chain(self.cost.weighted());
+        terms.any(|term| ends || !matches!(term, Term::Alive))
     }
 
     /// Whether the reward depends on the actions of the step before.

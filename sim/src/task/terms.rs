@@ -10,8 +10,9 @@ use super::body_terms::BodyTerm;
 use super::command::{CommandRanges, Heading, PLANAR_ROOT};
 use super::definition::{LARGEST_NUMBER, TermName, TermRow, check_repeats, refused, within};
 use super::disturbance::ascending;
+use super::healthy::reachable;
 use super::names::Names;
-use crate::error::SimError;
+use crate::error::{SimError, short};
 use crate::robot::{JointPlan, MapKind, Place, Robot};
 
 /// One step of an environment.
@@ -35,7 +36,7 @@ pub(crate) struct Transition<'a> {
 
 /// A term with its parameters as indices of coordinates.
 #[derive(Clone, Debug)]
-enum Term {
+pub(super) enum Term {
     ForwardSpeed { coordinate: usize },
     Alive,
     Control,
@@ -183,6 +184,11 @@ impl WeightedSum {
         terms.iter().copied().reduce(|sum, term| sum + term).unwrap_or(0.0)
     }
 
+    /// The terms with a weight other than 0.
+    pub(super) fn weighted(&self) -> impl Iterator<Item = &Term> {
+        self.0.iter().filter(|(weight, _)| *weight != 0.0).map(|(_, term)| term)
+    }
+
     /// Whether a term reads the actions of the step before.
     pub(super) fn reads_last_action(&self) -> bool {
         self.0.iter().any(|(_, term)| matches!(term, Term::ActionRate))
@@ -267,15 +273,12 @@ fn term(
             Term::TargetDistance { target: resolved_target(place, target, names)? }
         }
         TermName::Upright => Term::Upright { tilt: Tilt::new(place, row.of.as_deref(), robot)? },
-        TermName::InRange => Term::InRange {
-            coordinate: coordinate.ok_or_else(|| missing("coordinate"))?,
-            range: {
-                let range = row.range.ok_or_else(|| missing("range"))?;
-                let bounds = [-LARGEST_NUMBER, LARGEST_NUMBER];
-                ascending(&format!("{place}.range"), range, bounds)?;
-                range
-            },
-        },
+        TermName::InRange => {
+            let coordinate = coordinate.ok_or_else(|| missing("coordinate"))?;
+            let range = row.range.ok_or_else(|| missing("range"))?;
+            check_range(place, range, reachable(robot, coordinate))?;
+            Term::InRange { coordinate, range }
+        }
         TermName::ActionRate => Term::ActionRate,
         TermName::MassCentreSpeed => Term::MassCentreSpeed,
         TermName::VelocityTracking => {
@@ -292,6 +295,20 @@ fn term(
         | TermName::Height
         | TermName::Spread => Term::Body(BodyTerm::new(place, row, robot)?),
     })
+}
+
+/// Refuses a range that is no range, or that a coordinate with these `bounds` never enters or never leaves.
+fn check_range(place: &str, range: [f32; 2], [lowest, highest]: [f32; 2]) -> Result<(), SimError> {
+    ascending(&format!("{place}.range"), range, [-LARGEST_NUMBER, LARGEST_NUMBER])?;
+    let [low, high] = range;
+    let (is_always, is_never) = (low <= lowest && high >= highest, high < lowest || low > highest);
+    if !is_always && !is_never {
+        return Ok(());
+    }
+    let [lowest, highest] = [lowest, highest].map(short);
+    Err(refused(format!(
+        "{place} is constant, because the coordinate is always in {lowest}..={highest}; change its range (m or rad, not degrees)"
+    )))
 }
 
 /// The coordinate of the root along the world's x; refused if the root has none, or if another one comes first.

@@ -1,14 +1,16 @@
 //! Limits the memory of request bodies. Most calls send one small message. Result streams share one budget; when it is
 //! exceeded, streams that hold more than an equal share are ended.
 
+use std::error::Error;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Context, Poll};
 
 use bytes::Bytes;
-use http_body_util::Limited;
+use http_body_util::{BodyExt as _, LengthLimitError, Limited};
 use hyper::body::{Body as HttpBody, Frame, SizeHint};
+use proto::{Reason, Refusal};
 use tonic::body::Body;
 use tonic::codegen::http::Request;
 use tonic::{Code, Status};
@@ -31,6 +33,14 @@ pub(super) fn limits(
     let budget = Budget::of(MOST_IN_FLIGHT_BYTES);
     let most = MOST_REQUEST_BYTES.max(environment_bytes.saturating_mul(2));
     MapRequestLayer::new(move |request| budget.limit(request, most))
+}
+
+/// The status of a request with more than `most` bytes, which tonic gives to messages above its own limit, too.
+fn too_large(most: usize) -> Status {
+    let detail = format!("the request has more than {most} bytes");
+    let refusal = Status::from(Refusal::new(Reason::TooLarge, "message", detail));
+    let details = Bytes::copy_from_slice(refusal.details());
+    Status::with_details(Code::OutOfRange, refusal.message(), details)
 }
 
 /// The budget of all result streams.
@@ -69,7 +79,10 @@ impl Budget {
         if STREAMS.iter().any(|stream| path.ends_with(stream)) {
             return request;
         }
-        request.map(|body| Body::new(Limited::new(body, most)))
+        let refused = move |error: Box<dyn Error + Send + Sync>| {
+            if error.is::<LengthLimitError>() { too_large(most) } else { Status::from_error(error) }
+        };
+        request.map(|body| Body::new(Limited::new(body, most).map_err(refused)))
     }
 }
 
@@ -139,6 +152,24 @@ impl HttpBody for Counted {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn a_request_above_the_limit_is_refused_with_a_reason() {
+        let status = async |bytes: usize| {
+            let body = Body::new(http_body_util::Full::new(Bytes::from(vec![0; bytes])));
+            let request = Request::builder().uri("/s2mia.v1.LearnerService/Register").body(body);
+            let limited = Budget::of(1000).limit(request.unwrap(), 10);
+            limited.into_body().collect().await.map(drop)
+        };
+        assert!(status(10).await.is_ok());
+        let status = status(11).await.unwrap_err();
+        assert_eq!(status.code(), Code::OutOfRange);
+        assert!(
+            status.message().ends_with("message: the request has more than 10 bytes"),
+            "{status}"
+        );
+        assert!(!status.details().is_empty());
+    }
 
     #[test]
     fn a_stream_ends_only_if_the_budget_is_exceeded_and_it_holds_more_than_an_equal_share() {

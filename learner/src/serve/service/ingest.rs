@@ -7,7 +7,7 @@ use proto::wire::push_trajectory_request::Content;
 use proto::{Ack, Film, LeaseId, PushHeader, Reason, Refusal, wire};
 use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio::sync::{Semaphore, mpsc};
-use tonic::{Code, Status, Streaming};
+use tonic::{Status, Streaming};
 
 use crate::lease::exchange::{Caller, Exchange};
 use crate::lease::slots::{ConnectionId, Preview, ResultPart};
@@ -54,7 +54,7 @@ pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Resul
                 share.iter().for_each(|share| share.processed());
                 accepted
             }
-            Ok(Err(status)) => match unreadable(&status) {
+            Ok(Err(status)) => match super::unreadable(&status) {
                 None => return,
                 Some(refusal) => Err(super::refused(&exchange, &caller, lease, refusal)),
             },
@@ -79,17 +79,6 @@ pub(super) async fn pump(exchange: Arc<Exchange>, caller: Caller, results: Resul
             return;
         }
     }
-}
-
-/// The refusal for an unreadable message; `None` if the peer disconnected.
-fn unreadable(status: &Status) -> Option<Refusal> {
-    let reason = match status.code() {
-        // tonic's status for a message over the limit.
-        Code::OutOfRange | Code::ResourceExhausted => Reason::TooLarge,
-        Code::Internal => Reason::Undecodable,
-        _ => return None,
-    };
-    Some(Refusal::new(reason, "message", status.message()))
 }
 
 /// Checks and accepts one message on a blocking thread, because the checks compute.

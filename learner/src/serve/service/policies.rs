@@ -145,12 +145,13 @@ async fn answer_steps(
         );
         Status::from(refusal)
     };
-    let Some(start) = steps.message().await? else { return Ok(()) };
+    let unreadable = |status: Status| super::unreadable(&status).map_or(status, refused);
+    let Some(start) = steps.message().await.map_err(unreadable)? else { return Ok(()) };
     let choice = ActionChoice::from_wire(start).map_err(refused)?;
     let agents = published.policy.agents.iter();
     let sizes = agents.map(ActorPolicy::observation_size).collect::<Vec<_>>();
     let mut agents = ServedAgents::new(published, choice);
-    while let Some(step) = steps.message().await? {
+    while let Some(step) = steps.message().await.map_err(unreadable)? {
         let step = ActStep::from_wire(&step, &sizes).map_err(refused)?;
         if step.reset {
             agents.team.reset(0);

@@ -339,6 +339,26 @@ fn keys_without_an_effect_are_refused_with_the_reason() {
         (changed(edges, touching), "neighbourhood.touching: the row of `hip` has no bodies; name"),
         (added(approach), "reward.approach is constant, because all its bodies are fixed to the"),
         (
+            added("[[healthy]]\ncoordinate = \"hip\"\nabove = -20"),
+            "healthy.hip.above = -20 has no effect, since the number is always in -3.5..=4.5; remove",
+        ),
+        (
+            added("[[healthy]]\nfeature = \"hip.position\"\nbelow = 20"),
+            "healthy.hip.position.below = 20 has no effect",
+        ),
+        (
+            added(
+                "[[reward]]\nterm = \"in_range\"\nweight = 1\ncoordinate = \"hip\"\nrange = [-20, 20]",
+            ),
+            "reward.in_range is constant, because the coordinate is always in -3.5..=4.5; change its range",
+        ),
+        (
+            added(
+                "[[reward]]\nterm = \"in_range\"\nweight = 1\ncoordinate = \"hip\"\nrange = [20, 30]",
+            ),
+            "reward.in_range is constant",
+        ),
+        (
             added("[actions]\naround = \"start\"\nscale = 1"),
             "actions.scale is for servos of the position, and the model has none",
         ),

@@ -73,6 +73,12 @@ fn actions_around_the_start_are_changes_of_its_controls() {
     assert_range(&*scaled, 0, [0.15, 0.65]);
     assert_range(&*scaled, 1, [-1.15, -0.65]);
     assert_range(&*around("").unwrap(), 1, [-1.9, 0.1]);
+    assert_eq!(scaled.warnings(), [""; 0]);
+    for scale in ["20", "0.0001"] {
+        let warnings = around(&format!("scale = {scale}")).unwrap().warnings();
+        assert!(warnings[0].starts_with("the motor of `hip` has targets from"), "{warnings:?}");
+        assert!(warnings[0].contains("`actions.scale`"), "{warnings:?}");
+    }
     let alone = kneeling(SERVOS, "[actions]\nscale = 0.25").err().unwrap();
     assert!(alone.contains("actions.scale needs around = \"start\""), "{alone}");
 }
@@ -129,6 +135,20 @@ fn warnings([from, to]: [&str; 2], coordinates: &str) -> Vec<String> {
     assert!(model.contains(from));
     *model = model.replace(from, to);
     environments(&config, 1).unwrap().warnings()
+}
+
+#[test]
+fn a_reward_that_is_the_same_in_all_episodes_is_named() {
+    let rewards = HOPPER.find("[[reward]]\n").unwrap()..HOPPER.find("# The episode ends").unwrap();
+    let alive = "[[reward]]\nterm = \"alive\"\nweight = 1\n";
+    let weightless = "[[cost]]\nterm = \"control\"\nweight = 0\n";
+    for (reward, count) in [("", 1), (weightless, 1), (alive, 0)] {
+        let mut file = HOPPER.to_owned();
+        file.replace_range(rewards.clone(), reward);
+        let warnings = hopper(&file).warnings();
+        assert_eq!(warnings.len(), count, "{reward}: {warnings:?}");
+        assert!(warnings.iter().all(|line| line.starts_with("all episodes have the same return")));
+    }
 }
 
 #[test]
