@@ -8,6 +8,7 @@ mod definition;
 mod disturbance;
 mod healthy;
 mod names;
+mod reading;
 mod relations;
 mod rules;
 mod start;

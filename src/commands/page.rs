@@ -20,7 +20,7 @@ use rollout::FilmRecorder;
 use crate::commands::film;
 use crate::endpoints::PageAccess;
 use crate::errors::Usage;
-use crate::figures::learning_curve;
+use crate::figures::learning_curve::{self, Curve};
 use crate::process::runtime;
 use crate::run::chosen::{self, Which};
 use crate::run::{self, run_path, stored};
@@ -286,14 +286,29 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
     folders.iter().map(|folder| folder.display().to_string()).collect()
 }
 
-/// For each run the name of its group, which all runs have that differ from it only in their seed, or why its settings
-/// cannot be read.
+/// For each run the name of its group, which all runs have that differ from it only in their seed, or why it has none: its
+/// settings cannot be read, or an earlier run is the same.
 fn groups(folders: &[PathBuf]) -> Vec<Result<String, String>> {
     let read = |folder: &Path| {
         learning_curve::without_points(folder)
             .map_err(|error| format!("its settings are unknown, so it is in no group: {error:#}"))
     };
-    let found: Vec<_> = folders.iter().map(|folder| read(folder)).collect();
+    let mut found: Vec<Result<Curve, String>> = Vec::new();
+    for folder in folders {
+        let run = read(folder).and_then(|curve| {
+            let is_same = |other: &Result<Curve, _>| {
+                other.as_ref().is_ok_and(|other| other.is_of_the_run_of(&curve))
+            };
+            match found.iter().position(is_same) {
+                None => Ok(curve),
+                Some(same) => Err(format!(
+                    "it has the settings and seed of {}, so it is in no group",
+                    folders[same].display()
+                )),
+            }
+        });
+        found.push(run);
+    }
     let known: Vec<_> = found.iter().flatten().cloned().collect();
     let mut names = learning_curve::tasks_and_variants(&known).into_iter();
     let named =

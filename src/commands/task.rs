@@ -238,7 +238,8 @@ fn motor(actuator: &Actuator<'_>, newtons: &str) -> String {
         Torque::Servo(Some(largest)) => format!("servo, at most {largest} {newtons}"),
         Torque::Servo(None) => "servo".to_owned(),
     };
-    let [low, high] = actuator.control;
+    // Without the sign of a negative 0.
+    let [low, high] = actuator.control.map(|end| end + 0.0);
     let name = if actuator.name == actuator.joint {
         String::new()
     } else {

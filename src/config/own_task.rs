@@ -88,6 +88,10 @@ impl OwnTask {
     fn of_file(path: &Path, partition: Option<&str>) -> Result<Self, ConfigError> {
         let place = path.display().to_string();
         let file = text(path)?;
+        if file.trim_start_matches('\u{feff}').trim_start().starts_with('<') {
+            let why = "is a model (XML), not a task file; name the TOML file whose `model` it is, which `s2mia task new DIR` shows";
+            return Err(refused(&place, why));
+        }
         let model = TaskDefinition::model_of(&file).map_err(|error| refused(&place, error))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let model = one_document(folder, &model).map_err(|error| refused(&place, error))?;

@@ -108,7 +108,8 @@ impl Curve {
         self.points.get(&quantity).map_or(&[], Vec::as_slice)
     }
 
-    fn is_of_the_run_of(&self, other: &Self) -> bool {
+    /// Whether both are curves of one run, or of a run and its copy.
+    pub(crate) fn is_of_the_run_of(&self, other: &Self) -> bool {
         (&self.task, &self.algorithm, &self.seed, &self.settings)
             == (&other.task, &other.algorithm, &other.seed, &other.settings)
     }

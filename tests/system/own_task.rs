@@ -314,6 +314,10 @@ fn a_model_is_read_from_regular_files_inside_its_folder() {
     let pipe = std::process::Command::new("mkfifo").arg(&mesh).status();
     assert!(pipe.unwrap().success());
     assert!(refused(&["task", "check", text(&task)]).contains("not a plain file"));
+    let model = runs.folder("robot.xml");
+    std::fs::write(&model, "<mujoco/>").unwrap();
+    let line = refused(&["task", "check", text(&model)]);
+    assert!(line.contains("robot.xml: is a model (XML), not a task file"), "{line}");
 
     std::fs::remove_file(&mesh).unwrap();
     std::fs::rename(&outside, parts.join("b.stl")).unwrap();

@@ -254,13 +254,14 @@ fn the_page_of_several_runs_has_all_their_curves_and_follows_those_that_grow() {
 }
 
 #[test]
-fn runs_that_differ_only_in_their_seed_have_one_group_and_a_damaged_run_has_none() {
+fn runs_that_differ_only_in_their_seed_have_one_group_and_a_damaged_run_or_a_copy_has_none() {
     let runs = Runs::new();
     let folder = runs.folder("place");
     for (name, settings) in [
         ("a", ["run.seed=1", "run.actors=1"]),
         ("b", ["run.seed=2", "run.actors=2"]),
         ("c", ["run.seed=1", "algorithm=happo"]),
+        ("copy", ["run.seed=1", "run.actors=1"]),
     ] {
         write_run(&folder.join(name), 1.5);
         let settings = succeeded(&["config", "halfcheetah-2x3", settings[0], settings[1]]);
@@ -270,18 +271,19 @@ fn runs_that_differ_only_in_their_seed_have_one_group_and_a_damaged_run_has_none
     write_run(&damaged, 1.5);
     std::fs::write(damaged.join("config.toml"), "task = ").unwrap();
     std::fs::write(damaged.join("metrics.jsonl"), "{\"kind\":\"evaluati\n\0\0\n").unwrap();
-    let (_process, page) = page_of_runs(&folder, &["a", "b", "c", "d"]);
+    let (_process, page) = page_of_runs(&folder, &["a", "b", "c", "d", "copy"]);
     let of_runs = |key: &str| {
         let found = page.json("/api/runs")["runs"].as_array().unwrap().clone();
         found.iter().map(|run| run[key].clone()).collect::<Vec<_>>()
     };
-    let groups = json!(["happo-s2mia", "happo-s2mia", "happo", null]);
+    let groups = json!(["happo-s2mia", "happo-s2mia", "happo", null, null]);
     assert_eq!(Value::from(of_runs("group")), groups);
     let troubles = of_runs("trouble");
     assert_eq!(troubles[..3], [Value::Null, Value::Null, Value::Null]);
     for part in ["config.toml", "metrics.jsonl: 2 damaged lines are skipped"] {
         assert!(troubles[3].as_str().unwrap().contains(part), "{}", troubles[3]);
     }
+    assert!(troubles[4].as_str().unwrap().contains("it has the settings and seed of"));
     // The damaged run grows again.
     add_evaluation(&damaged, 40, 3.0);
     eventually(|| {

@@ -21,8 +21,8 @@ use crate::robot::{GroundForm, GroundPlan, JointPlan, LinkPlan, Robot, ShapePlan
 use crate::state::EpisodeDraws;
 use crate::world::EpisodeConditions;
 use push::Push;
-pub(crate) use row::DisturbanceRow;
 pub(super) use row::ascending;
+pub(crate) use row::{DisturbanceRow, LONGEST_DELAY};
 use row::{PayloadRow, SensorRow};
 
 /// Largest number of pushes, of payloads, and of rows of the terrain.

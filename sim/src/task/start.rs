@@ -270,7 +270,7 @@ fn check_coordinate(
     let remedy = if reach > 0.0 && is_inside(0.0) {
         "lower its noise in start.positions or start.noise"
     } else {
-        "change it by start.coordinates"
+        "change it by start.coordinates, in rad or m"
     };
     let bounds = format!("{lowest}..={highest} (a joint's limits, 3 rad or m wider)");
     Err(refused(format!("{place} starts at {at}{noise}, outside {bounds}; {remedy}")))

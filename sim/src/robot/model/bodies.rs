@@ -189,6 +189,11 @@ fn add_body(
     bodies.push(body);
     let childclass = element.text("childclass").or(childclass);
     fill(bodies, index, element, (childclass, IDENTITY), context);
+    let is_fixed_to_world = parent == 0 && bodies[index].joints.is_empty();
+    if context.blockers.keep(element.flag("mocap")).flatten() == Some(true) && !is_fixed_to_world {
+        let reason = "a mocap body is in the `worldbody` itself and has no joint; remove `mocap`";
+        context.blockers.keep::<()>(Err(element.refuse_for("mocap", reason)));
+    }
     Ok(())
 }
 

@@ -11,7 +11,7 @@ use crate::arrays;
 use crate::error::{SimError, short};
 
 /// Largest delay, steps. A state has an action or a measurement for each.
-const LONGEST_DELAY: u32 = 20;
+pub(crate) const LONGEST_DELAY: u32 = 20;
 
 /// `[disturbance]` of a task file. A range is `[low, high]`; equal ends state a constant.
 #[derive(Clone, Debug, Default, Deserialize)]

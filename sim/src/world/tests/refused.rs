@@ -67,6 +67,10 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
             "line 4, <joint name=\"j\">: `springdamper` must be a positive time constant",
         ),
         (bodies("<joint/>"), "line 3, <body name=\"b\">: a body that moves must have a mass"),
+        (
+            bodies("<body mocap=\"true\"/><geom size=\"1\"/>"),
+            "line 3, <body>: a mocap body is in the `worldbody` itself and has no joint",
+        ),
         (bodies("<composite/>"), "line 3, <composite>: this element is not supported"),
         (bodies("<geom size=\"0.1\"/>"), "the model has no joints"),
         (bodies("<geom size=\"1\"><plugin/></geom>"), "line 3, <plugin>: this element"),
