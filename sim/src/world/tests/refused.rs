@@ -67,10 +67,6 @@ fn refused_bodies_joints_and_shapes_are_named_with_their_lines() {
             "line 4, <joint name=\"j\">: `springdamper` must be a positive time constant",
         ),
         (bodies("<joint/>"), "line 3, <body name=\"b\">: a body that moves must have a mass"),
-        (
-            bodies("<body mocap=\"true\"/><geom size=\"1\"/>"),
-            "line 3, <body>: a mocap body is in the `worldbody` itself and has no joint",
-        ),
         (bodies("<composite/>"), "line 3, <composite>: this element is not supported"),
         (bodies("<geom size=\"0.1\"/>"), "the model has no joints"),
         (bodies("<geom size=\"1\"><plugin/></geom>"), "line 3, <plugin>: this element"),
@@ -240,6 +236,10 @@ fn what_mujoco_does_not_compile_is_refused() {
     let free = "<body pos=\"0 0 9\"><freejoint/><geom size=\"1\"/></body>";
     let exceeds = "none may exceed the sum of the others";
     assert_refused(&[
+        (
+            bodies("<body mocap=\"true\"/><geom size=\"1\"/>"),
+            "line 3, <body>: a mocap body is in the `worldbody` itself and has no joint",
+        ),
         (inertia("diaginertia=\"1 1 5\""), exceeds),
         (inertia("diaginertia=\"1 1 2.000001\""), exceeds),
         (inertia("fullinertia=\"1 1 5 0.1 0 0\""), exceeds),
