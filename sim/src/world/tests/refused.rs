@@ -228,6 +228,16 @@ fn refused_actuators_are_named_with_their_lines() {
 
 /// MuJoCo 4.0.0 refuses all of them, too.
 #[test]
+fn a_mocap_body_that_moves_is_refused() {
+    let reason = "a mocap body is in the `worldbody` itself and has no joint; remove `mocap`";
+    let moving = "<body name=\"m\" mocap=\"true\"><joint/><geom size=\"1\"/></body>";
+    assert_refused(&[
+        (bodies("<joint/><geom size=\"1\"/>\n<body mocap=\"true\"/>"), reason),
+        (bodies(&format!("<joint/><geom size=\"1\"/>\n{moving}")), reason),
+    ]);
+}
+
+#[test]
 fn what_mujoco_does_not_compile_is_refused() {
     let joints = |joints: &str| bodies(&format!("{joints}<geom size=\"1\"/>"));
     let inertia =
@@ -236,10 +246,6 @@ fn what_mujoco_does_not_compile_is_refused() {
     let free = "<body pos=\"0 0 9\"><freejoint/><geom size=\"1\"/></body>";
     let exceeds = "none may exceed the sum of the others";
     assert_refused(&[
-        (
-            bodies("<body mocap=\"true\"/><geom size=\"1\"/>"),
-            "line 3, <body>: a mocap body is in the `worldbody` itself and has no joint",
-        ),
         (inertia("diaginertia=\"1 1 5\""), exceeds),
         (inertia("diaginertia=\"1 1 2.000001\""), exceeds),
         (inertia("fullinertia=\"1 1 5 0.1 0 0\""), exceeds),
