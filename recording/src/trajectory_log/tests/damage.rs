@@ -65,8 +65,8 @@ fn other_files_are_rejected_with_a_one_line_error() {
     assert!(foreign.contains("not a trajectory log"), "{foreign}");
 }
 
-/// A log without its share number `left_out` and, unless it `ends`, without its totals.
-fn copy_without(bytes: &[u8], left_out: usize, ends: bool) -> Vec<u8> {
+/// A log without its share number `left_out` and without the metadata `unnamed`.
+fn copy_without(bytes: &[u8], left_out: usize, unnamed: &[&str]) -> Vec<u8> {
     let options = mcap::WriteOptions::new().compression(None);
     let mut copy = options.create(std::io::Cursor::new(Vec::new())).unwrap();
     let summary = mcap::Summary::read(bytes).unwrap().unwrap();
@@ -75,7 +75,7 @@ fn copy_without(bytes: &[u8], left_out: usize, ends: bool) -> Vec<u8> {
     }
     for index in &summary.metadata_indexes {
         let metadata = mcap::read::metadata(bytes, index).unwrap();
-        if ends || metadata.name != TOTALS_NAME {
+        if !unnamed.contains(&metadata.name.as_str()) {
             copy.write_metadata(&metadata).unwrap();
         }
     }
@@ -95,12 +95,13 @@ fn copy_without(bytes: &[u8], left_out: usize, ends: bool) -> Vec<u8> {
 fn shares_that_are_no_longer_in_a_log_are_counted_if_its_end_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = read_bytes(&slot_log(folder.path()).0).unwrap();
-    for (left_out, ends, shares, missing) in
-        [(0, true, 3, Some(0)), (2, true, 2, Some(1)), (2, false, 2, None)]
+    for (left_out, unnamed, shares, missing) in
+        [(0, &[][..], 3, Some(0)), (2, &[], 2, Some(1)), (2, &[TOTALS_NAME], 2, None)]
     {
-        let log = read_shares(&copy_without(&bytes, left_out, ends), |_| Ok(())).unwrap();
+        let copy = copy_without(&bytes, left_out, unnamed);
+        let log = read_shares(&copy, |_| Ok(())).unwrap();
         assert_eq!((log.shares, log.missing_shares()), (shares, missing));
-        assert_eq!(log.lost_shares(), ends.then_some(0));
+        assert_eq!(log.lost_shares(), unnamed.is_empty().then_some(0));
         assert_eq!(log.torn_steps, 0);
     }
 }
