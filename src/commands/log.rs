@@ -83,10 +83,7 @@ impl Gaps {
             counted(self.lost, "lost share"),
         ];
         if self.missing > 0 {
-            gaps.push(format!(
-                "{} missing of those that were written",
-                counted(self.missing, "share")
-            ));
+            gaps.push(format!("{} of the written ones missing", counted(self.missing, "share")));
         }
         if self.endless > 0 {
             let files = counted(self.endless, "file");

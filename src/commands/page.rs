@@ -302,7 +302,7 @@ fn groups(folders: &[PathBuf]) -> Vec<Result<String, String>> {
             match found.iter().position(is_same) {
                 None => Ok(curve),
                 Some(same) => Err(format!(
-                    "it has the settings and seed of {}, so it is in no group",
+                    "it has the settings and seed of {}, so it is in no group; name one of them",
                     folders[same].display()
                 )),
             }

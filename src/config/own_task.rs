@@ -89,7 +89,7 @@ impl OwnTask {
         let place = path.display().to_string();
         let file = text(path)?;
         if file.trim_start_matches('\u{feff}').trim_start().starts_with('<') {
-            let why = "is a model (XML), not a task file; name the TOML file whose `model` it is, which `s2mia task new DIR` shows";
+            let why = "is a model (XML), not a task file; pass the TOML file that names it as `model`; `s2mia task new DIR` writes an example";
             return Err(refused(&place, why));
         }
         let model = TaskDefinition::model_of(&file).map_err(|error| refused(&place, error))?;

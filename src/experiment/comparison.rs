@@ -3,7 +3,7 @@
 
 use policy::{Draw, Purpose};
 
-use super::results::{Estimate, Measured, areas, finals, found, grouped, tasks};
+use super::results::{Estimate, Measured, PERMUTATION, areas, finals, found, grouped, tasks};
 use crate::figures::statistics::{
     holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
 };
@@ -75,7 +75,7 @@ pub(crate) fn comparisons(
         .map(|variant| (variant, pairs(variant)))
         .filter(|(_, pairs)| !pairs.is_empty())
         .collect();
-    let key = Draw::of(Purpose::Bootstrap).step(5);
+    let key = Draw::of(Purpose::Bootstrap).step(PERMUTATION);
     let raw: Vec<f64> = compared.iter().map(|(_, pairs)| permutation_p_value(pairs, key)).collect();
     let p_values = raw.iter().copied().zip(holm_adjusted(&raw));
     let judged = compared.iter().zip(p_values);

@@ -9,6 +9,9 @@ use crate::figures::statistics::{
     interquartile_mean_interval, permutation_p_value, probability_of_improvement, quantile,
 };
 
+/// Draw of the permutations of runs.
+pub(super) const PERMUTATION: u32 = 5;
+
 /// A figure and its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Estimate {
@@ -177,7 +180,7 @@ fn mean(values: &[f64], figure: u32) -> Estimate {
 fn improvement(runs: &[f64], baseline: &[f64]) -> Improvement {
     let of = |samples: &[Vec<f64>]| probability_of_improvement(&samples[0], &samples[1]);
     // As over all tasks, so that an experiment with one has one p-value.
-    let key = Draw::of(Purpose::Bootstrap).step(5);
+    let key = Draw::of(Purpose::Bootstrap).step(PERMUTATION);
     Improvement {
         probability: Estimate::of(&[runs, baseline], 2, of),
         p_value: permutation_p_value(&[(runs.to_vec(), baseline.to_vec())], key),

@@ -126,7 +126,7 @@ impl<'a> Verifier<'a> {
     /// actions: a part with both kinds is computed twice.
     ///
     /// # Errors
-    /// The part cannot be computed, or a result differs from the recorded one, which is named with the programs of both.
+    /// The part cannot be computed, or a result differs from the recorded one, which is named with what may be the reason.
     pub(crate) fn verify(
         &self,
         part: Part,
@@ -295,16 +295,23 @@ impl<'a> Verifier<'a> {
         Ok(())
     }
 
-    /// Why two results of a part may differ: episodes that were not continued, or who computed them.
+    /// Why two results of a part may differ: who computed them, and episodes that were not continued, of which a state after
+    /// the last iteration may have the first step.
     fn reason(&self, part: Part) -> anyhow::Result<String> {
-        let mut lines = self.recorded.provenance.range(part.start + 1..=part.end);
-        if let Some((iteration, line)) = lines.find(|(_, line)| !line[BEGUN_AGAIN].is_null()) {
-            return Ok(format!(
-                "in iteration {iteration}, environments {} failed and began new episodes ({PROVENANCE}), which depends on when \
-                 they fail",
+        let programs = self.programs()?;
+        let mut lines = self.recorded.provenance.range(part.start + 1..=part.end + 1);
+        Ok(match lines.find(|(_, line)| !line[BEGUN_AGAIN].is_null()) {
+            None => programs,
+            Some((iteration, line)) => format!(
+                "{programs}; in iteration {iteration}, environments {} began new episodes because theirs could not be continued \
+                 ({PROVENANCE}), which may not happen again",
                 line[BEGUN_AGAIN]
-            ));
-        }
+            ),
+        })
+    }
+
+    /// Who computed the two results that differ.
+    fn programs(&self) -> anyhow::Result<String> {
         let builds = self.recorded.builds()?;
         let others: Vec<_> = builds.iter().filter(|build| **build != BUILD).cloned().collect();
         let foreign = self.recorded.manifest["foreign_actors"] == Value::Bool(true);

@@ -137,7 +137,7 @@ fn a_run_continues_if_its_program_rejects_the_states_that_it_saved() {
     drop(service);
     let _healthy = CueService::start_at(&address, Faults::NONE);
     let line = error(&s2mia(&["verify", text(&folder)]));
-    let why = "failed and began new episodes (provenance.jsonl), which depends on when they fail";
+    let why = "began new episodes because theirs could not be continued (provenance.jsonl)";
     assert!(line.contains("is not verified: ") && line.contains(why), "{line}");
 }
 

@@ -109,7 +109,7 @@ def multi_agent(
         raise InvalidEnvironment(f"agent_conf=null is not for {scenario}; name a partition of it, such as 2x3 of HalfCheetah")
     parts = factorization(scenario, agent_conf)
     try:
-        settings = _local_categories(scenario, more) | more
+        settings = more if more.get("local_categories") else more | _local_categories(scenario, more)
         env = mamujoco_v1.parallel_env(scenario=scenario, agent_conf=agent_conf, agent_factorization=parts, **settings)
     except (AttributeError, LookupError, NotImplementedError) as error:
         given = ", ".join(["scenario", "agent_conf", *more])

@@ -31,6 +31,8 @@ pub struct Environments {
     finished: Vec<u64>,
     recent: VecDeque<f64>,
     episode_steps: u32,
+    /// Environments that began a new episode before the last iteration because theirs could not be continued.
+    pub(crate) begun_again: Vec<u32>,
     /// Episodes of the last iteration that were truncated before their limit by a fault of their environment.
     pub(crate) faults: u64,
 }
@@ -52,6 +54,7 @@ impl Environments {
             finished: vec![0; count],
             recent: VecDeque::new(),
             episode_steps,
+            begun_again: Vec::new(),
             faults: 0,
         }
     }
@@ -109,6 +112,10 @@ impl Environments {
     /// `rollouts`.
     pub fn advance(&mut self, batch: &Batch, rollouts: &[SlotRollout]) {
         assert_eq!(batch.environments, self.starts.len(), "environments of all slots");
+        let is_new = self.is_new();
+        let fresh = |start: &Start| !is_new && matches!(start, Start::Fresh { .. });
+        let begun_again = (0..).zip(&self.starts).filter(|(_, start)| fresh(start));
+        self.begun_again = begun_again.map(|(environment, _)| environment).collect();
         self.faults = 0;
         for row in 0..batch.rows() {
             let environment = row % batch.environments;

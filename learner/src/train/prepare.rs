@@ -103,7 +103,6 @@ fn build(
     let mut trainer = Trainer {
         surprise: Surprise::new(&launch.training.surprise, &problem, launch.seed)?,
         environments: Environments::fresh(description, environments.count, environments.phase),
-        begun_again: Vec::new(),
         evaluations: Evaluations::new(
             launch.config.evaluation.clone(),
             environments.steps_per_iteration(),

@@ -45,8 +45,6 @@ pub struct Trainer {
     pub(crate) algorithm: Box<dyn Algorithm>,
     pub(crate) surprise: Surprise,
     pub(crate) environments: Environments,
-    /// Environments that began a new episode in the open iteration because theirs could not be continued.
-    pub(crate) begun_again: Vec<u32>,
     pub(crate) evaluations: Evaluations,
     pub(crate) iteration: u64,
     /// The newest policies, encoded for actors.
@@ -361,12 +359,10 @@ impl Trainer {
     ) -> Result<(), LearnerError> {
         let weights = checkpoint::weights_sha256(weights);
         let density: NamedArrays = self.surprise.arrays()?;
-        let mut begun_again = std::mem::take(&mut self.begun_again);
-        begun_again.sort_unstable();
         self.provenance.iteration(&WeightsOrigin {
             iteration: self.iteration,
             behaviour,
-            begun_again: &begun_again,
+            begun_again: &self.environments.begun_again,
             rollouts,
             density: &density,
             weights_sha256: &weights,

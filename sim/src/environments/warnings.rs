@@ -29,8 +29,8 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules, controls: &[[f32; 2]])
     warnings.extend(unnamed(robot, rules));
     warnings.extend(unhealthy(robot, rules));
     if !rules.can_vary() {
-        let why = "all episodes have the same return, so nothing is learnt: add a [[reward]] or [[cost]] with a weight, or \
-            [[healthy]] bounds for `alive`";
+        let why = "all episodes have the same return, so nothing is learnt but what terms of surprise and influence reward: add \
+            a [[reward]] or [[cost]] with a weight, or [[healthy]] bounds for `alive`";
         warnings.push(why.to_owned());
     }
     warnings

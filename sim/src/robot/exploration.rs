@@ -13,6 +13,14 @@ const SLOWEST_ACCELERATION: f32 = 0.1;
 /// Smallest useful speed, rad/s or m/s, and distance, rad or m, over a control range.
 const SMALLEST_TARGET: f32 = 0.01;
 
+/// What to change where `actions.scale` determines the controls, in place of the `ctrlrange`.
+const SCALED: [(&str, &str); 4] = [
+    ("widen `ctrlrange`", "raise `actions.scale`"),
+    ("narrow `ctrlrange`", "lower `actions.scale`"),
+    ("set `ctrlrange` to the joint's range", "change `actions.scale`"),
+    ("its control range", "the range of its actions"),
+];
+
 impl Robot {
     /// Motors that a policy can hardly explore: one sentence each with the joint, the reason and what to change. `controls` are
     /// each motor's for the actions -1 and 1.
@@ -24,7 +32,8 @@ impl Robot {
             let width = |[low, high]: [f32; 2]| high - low;
             let excess = width(*controls) - width(motor.range);
             let is_scaled = excess.abs() > 1e-3 * width(motor.range);
-            let why = if is_scaled { why.replace("`ctrlrange`", "`actions.scale`") } else { why };
+            let words = SCALED.iter().filter(|_| is_scaled);
+            let why = words.fold(why, |why, (from, to)| why.replace(from, to));
             Some(format!("the motor of `{}` {why}", motor.joint))
         };
         let motors = self.blueprint.motors.iter().zip(controls);
@@ -57,9 +66,22 @@ impl Drive<'_> {
             let why = "has gain 0, so its control moves nothing: set `kp`, `kv` or `gainprm`";
             return Some(why.to_owned());
         }
+        // As the motor does.
+        let [low, high] = self.motor.range;
+        let limited = self.controls.map(|control| control.clamp(low, high));
+        let share = (limited[1] - limited[0]) / (self.controls[1] - self.controls[0]);
+        if share < SMALLEST_SHARE {
+            return Some(format!(
+                "has controls from {} to {} for a `ctrlrange` from {low} to {high}, so {:.1} % of its control range has an \
+                 effect: narrow `ctrlrange`, which is in the unit of the joint (rad, not degrees)",
+                self.controls[0],
+                self.controls[1],
+                100.0 * share
+            ));
+        }
         let ends = |by: f32| {
             let (gain, [constant, ..]) = self.law();
-            let [a, b] = self.controls.map(|control| (gain * control + constant) * by);
+            let [a, b] = limited.map(|control| (gain * control + constant) * by);
             [a.min(b), a.max(b)]
         };
         match (stiffness, slope) {

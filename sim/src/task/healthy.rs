@@ -7,6 +7,14 @@ use super::terms::{self, Tilt};
 use crate::error::{SimError, short};
 use crate::robot::Robot;
 
+/// The bounds of a coordinate, in words.
+pub(super) const WIDER: &str = " (a joint's limits, 3 rad or m wider)";
+
+/// Where the bounds of a number come from, in words; none for components of rotations.
+pub(super) fn origin([low, high]: [f32; 2]) -> &'static str {
+    if low < -1.0 || high > 1.0 { WIDER } else { "" }
+}
+
 /// A number that ends an episode.
 #[derive(Clone, Debug)]
 pub(super) enum Watched {
@@ -26,15 +34,12 @@ impl Watched {
             Self::Coordinate(index) => Some(*index),
             _ => robot.coordinate_names().iter().position(|own| Some(own.as_str()) == position),
         };
-        let mut turns = robot.layout.quaternions();
-        let in_quaternion = |index: usize| turns.any(|first| (first..first + 4).contains(&index));
         let component = position.and_then(|name| name.rsplit('.').next()).unwrap_or_default();
         let is_relation = of_coordinate.is_none();
         if is_relation && component == "qw" {
             [0.0, 1.0]
         } else if matches!(self, Self::Upright(_))
             || (is_relation && ["qx", "qy", "qz"].contains(&component))
-            || of_coordinate.is_some_and(in_quaternion)
         {
             [-1.0, 1.0]
         } else if let Some(index) = of_coordinate {
@@ -56,8 +61,13 @@ impl Watched {
     }
 }
 
-/// The values that a coordinate has before the state is out of bounds, which ends the episode.
+/// The values that a coordinate has before the state is out of bounds, which ends the episode: a joint's limits, 3 rad or m
+/// wider.
 pub(super) fn reachable(robot: &Robot, index: usize) -> [f32; 2] {
+    let mut turns = robot.layout.quaternions();
+    if turns.any(|first| (first..first + 4).contains(&index)) {
+        return [-1.0, 1.0];
+    }
     robot.layout.coordinate_bounds[index].map(|end| end + robot.reference()[index])
 }
 
@@ -168,8 +178,9 @@ fn check_effects(place: &str, row: &HealthyRow, [low, high]: [f32; 2]) -> Result
     match bounds.find(|(key, bound)| never_acts(key, *bound)) {
         None => Ok(()),
         Some((key, bound)) => {
+            let is_velocity = place.ends_with(".velocity");
+            let why = if is_velocity { ", by state.largest_velocity" } else { origin([low, high]) };
             let [bound, low, high] = [bound, low, high].map(short);
-            let why = if place.ends_with(".velocity") { ", by state.largest_velocity" } else { "" };
             Err(refused(format!(
                 "{place}.{key} = {bound} has no effect, since the number is always in {low}..={high}{why}; remove the bound \
                  or change it"

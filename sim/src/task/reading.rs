@@ -35,7 +35,7 @@ pub(super) fn whole(key: &str, value: u32) -> Result<(), SimError> {
 const TYPES: [(&str, &str); 8] = [
     (
         "map, expected f32",
-        "a table, expected a number; quote a name with a dot, such as \"root.z\"",
+        "a table, expected a number; if it is a name with a dot, quote it: \"root.z\"",
     ),
     ("wanted exactly 1 element, more than 1 element", "expected only one of uniform and normal"),
     ("expected f32", "expected a number"),

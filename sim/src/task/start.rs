@@ -8,6 +8,7 @@ use rapier3d::math::Vector;
 use serde::Deserialize;
 
 use super::definition::{refused, within};
+use super::healthy::WIDER;
 use super::names::Names;
 use crate::error::{SimError, short};
 use crate::noise;
@@ -272,7 +273,7 @@ fn check_coordinate(
     } else {
         "change it by start.coordinates, in rad or m"
     };
-    let bounds = format!("{lowest}..={highest} (a joint's limits, 3 rad or m wider)");
+    let bounds = format!("{lowest}..={highest}{WIDER}");
     Err(refused(format!("{place} starts at {at}{noise}, outside {bounds}; {remedy}")))
 }
 

@@ -10,7 +10,7 @@ use super::body_terms::BodyTerm;
 use super::command::{CommandRanges, Heading, PLANAR_ROOT};
 use super::definition::{LARGEST_NUMBER, TermName, TermRow, check_repeats, refused, within};
 use super::disturbance::ascending;
-use super::healthy::reachable;
+use super::healthy::{origin, reachable};
 use super::names::Names;
 use crate::error::{SimError, short};
 use crate::robot::{JointPlan, MapKind, Place, Robot};
@@ -305,9 +305,10 @@ fn check_range(place: &str, range: [f32; 2], [lowest, highest]: [f32; 2]) -> Res
     if !is_always && !is_never {
         return Ok(());
     }
+    let why = origin([lowest, highest]);
     let [lowest, highest] = [lowest, highest].map(short);
     Err(refused(format!(
-        "{place} is constant, because the coordinate is always in {lowest}..={highest}; change its range (m or rad, not degrees)"
+        "{place} is constant, because the coordinate is always in {lowest}..={highest}{why}; change its range"
     )))
 }
 

@@ -121,8 +121,8 @@ impl SlotTable {
         self.works.values().any(Works::any_free)
     }
 
-    /// There was nothing for this actor. Its process waits for work if it holds none, unless it may not try the free work
-    /// after a failure: nothing is kept for it then.
+    /// There was nothing for this actor. Its process waits for work if it holds none, unless the free work
+    /// waits, or it may not try that after a failure: nothing is kept for it then.
     pub(super) fn found_nothing(&mut self, owner: Owner) {
         let is_any_free = self.is_any_free();
         let processes = &mut self.actors.processes;

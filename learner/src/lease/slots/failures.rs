@@ -1,6 +1,6 @@
 //! Work that actors returned because they could not process it: who may try it again, and when it is given up.
 //!
-//! Failed work is leased to other processes first. One actor alone can therefore neither block work nor end the run while
+//! After its first failure, work is leased to other processes first. One actor alone can therefore neither block work nor end the run while
 //! another actor can do the work.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -69,7 +69,7 @@ impl Failures {
         Self { ttl, works: BTreeMap::new() }
     }
 
-    /// Whether `process` may try the work now. Nobody may while the work waits; one that failed waits for the `others`, the registered processes, but not
+    /// Whether `process` may try the work now. No process may while the work waits; one that failed waits for the `others`, the registered processes, but not
     /// longer than a time to live.
     pub(super) fn may_try(
         &self,
@@ -97,6 +97,7 @@ impl Failures {
     pub(super) fn note(&mut self, key: Key, process: Process, now: Duration) {
         let failed = self.works.entry(key).or_default();
         failed.times += u32::from(failed.is_by(process));
+        failed.wait = Duration::ZERO;
         failed.add(process, now);
     }
 
@@ -126,7 +127,8 @@ impl Failures {
         let first = *failed.first.get_or_insert(now);
         let most = if begin == Begin::Fresh { MOST_FRESH } else { MOST_CONTINUED };
         let tried_by_all = !failed.is_untried_by(others) || now >= first + self.ttl * most;
-        // Episodes are not given up for a short outage of their environment.
+        // Episodes are not given up for a short outage of their environment. The other processes wait, too, because they may
+        // share it. A new episode does not wait: a run that ends can be resumed, and is the same then.
         failed.wait = match (begin, failure) {
             (Begin::Continued, LeaseFailure::Environment) => {
                 self.ttl * (failed.times - 1).min(MOST_CONTINUED) / MOST_CONTINUED

@@ -100,6 +100,12 @@ fn environments_continue_from_the_end_states_of_slots_or_begin_the_next_episode(
     let mut restored = fresh(9, Phase::Staggered);
     restored.restore(&environments.arrays(), 1).unwrap();
     assert_eq!(restored, environments);
+    for mut both in [environments, restored] {
+        both.advance(&batch([0.5; 6], &[]), &[rollout()]);
+        assert_eq!(both.begun_again, [0], "also after a resume");
+        both.advance(&batch([0.5; 6], &[]), &[rollout()]);
+        assert_eq!(both.begun_again, [0; 0]);
+    }
 }
 
 #[test]

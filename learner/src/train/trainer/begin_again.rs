@@ -28,10 +28,9 @@ impl RunningTrainer {
 }
 
 impl Trainer {
-    /// Begins a new episode in an environment that continues one, tells the learning rule, and notes it for the provenance.
+    /// Begins a new episode in an environment that continues one, and tells the learning rule.
     fn begin_again(&mut self, environment: u32) {
         if self.environments.begin_again(environment) {
-            self.begun_again.push(environment);
             self.algorithm.begin_again(environment as usize);
         }
     }

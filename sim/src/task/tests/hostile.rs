@@ -295,7 +295,7 @@ fn values_of_another_type_are_refused_with_what_to_write() {
         (
             "[start]\n",
             "[start]\ncoordinates = { root.z = 0.7 }\n",
-            "quote a name with a dot, such as \"root.z\"",
+            "if it is a name with a dot, quote it: \"root.z\"",
         ),
         (
             "positions = { uniform = 0.005 }",
@@ -359,7 +359,7 @@ fn bounds_that_a_joint_never_reaches_are_refused() {
     for (file, part) in [
         (
             added("[[healthy]]\ncoordinate = \"hip\"\nabove = -20"),
-            "healthy.hip.above = -20 has no effect, since the number is always in -3.5..=4.5; remove",
+            "healthy.hip.above = -20 has no effect, since the number is always in -3.5..=4.5 (a joint's limits, 3 rad or m wider); remove",
         ),
         (
             added("[[healthy]]\nfeature = \"hip.position\"\nbelow = 20"),
@@ -369,7 +369,7 @@ fn bounds_that_a_joint_never_reaches_are_refused() {
             added(
                 "[[reward]]\nterm = \"in_range\"\nweight = 1\ncoordinate = \"hip\"\nrange = [-20, 20]",
             ),
-            "reward.in_range is constant, because the coordinate is always in -3.5..=4.5; change its range",
+            "reward.in_range is constant, because the coordinate is always in -3.5..=4.5 (a joint's limits, 3 rad or m wider); change its range",
         ),
         (
             added(

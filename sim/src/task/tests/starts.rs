@@ -74,9 +74,12 @@ fn actions_around_the_start_are_changes_of_its_controls() {
     assert_range(&*scaled, 1, [-1.15, -0.65]);
     assert_range(&*around("").unwrap(), 1, [-1.9, 0.1]);
     assert_eq!(scaled.warnings(), [""; 0]);
-    for scale in ["20", "0.0001"] {
+    for (scale, fault) in
+        [("20", "has controls from -19.6 to 20.4"), ("0.0001", "has targets from")]
+    {
         let warnings = around(&format!("scale = {scale}")).unwrap().warnings();
-        assert!(warnings[0].starts_with("the motor of `hip` has targets from"), "{warnings:?}");
+        let start = format!("the motor of `hip` {fault}");
+        assert!(warnings[0].starts_with(&start), "{warnings:?}");
         assert!(warnings[0].contains("`actions.scale`"), "{warnings:?}");
     }
     let alone = kneeling(SERVOS, "[actions]\nscale = 0.25").err().unwrap();

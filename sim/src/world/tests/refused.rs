@@ -226,7 +226,6 @@ fn refused_actuators_are_named_with_their_lines() {
     ]);
 }
 
-/// MuJoCo 4.0.0 refuses all of them, too.
 #[test]
 fn a_mocap_body_that_moves_is_refused() {
     let reason = "a mocap body is in the `worldbody` itself and has no joint; remove `mocap`";
@@ -237,6 +236,7 @@ fn a_mocap_body_that_moves_is_refused() {
     ]);
 }
 
+/// MuJoCo 4.0.0 refuses all of them, too.
 #[test]
 fn what_mujoco_does_not_compile_is_refused() {
     let joints = |joints: &str| bodies(&format!("{joints}<geom size=\"1\"/>"));
