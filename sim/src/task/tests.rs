@@ -10,6 +10,7 @@ mod own_models;
 mod physics;
 mod reward_terms;
 mod starts;
+mod values;
 
 use super::*;
 use crate::config::{ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView};
