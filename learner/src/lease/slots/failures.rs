@@ -1,7 +1,7 @@
 //! Work that actors returned because they could not process it: who may try it again, and when it is given up.
 //!
-//! After its first failure, work is leased to other processes first. One actor alone can therefore neither block work nor end the run while
-//! another actor can do the work.
+//! After its first failure, work is leased to other processes first. One actor alone can therefore neither block work nor
+//! end the run while another actor can do the work.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -69,8 +69,8 @@ impl Failures {
         Self { ttl, works: BTreeMap::new() }
     }
 
-    /// Whether `process` may try the work now. No process may while the work waits; one that failed waits for the `others`, the registered processes, but not
-    /// longer than a time to live.
+    /// Whether `process` may try the work now. No process may while the work waits; one that failed waits for the `others`,
+    /// the registered processes, but not longer than a time to live.
     pub(super) fn may_try(
         &self,
         key: Key,
