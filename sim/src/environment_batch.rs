@@ -104,8 +104,8 @@ pub trait EnvironmentBatch: Send {
     /// `[E]`. A finished episode is not reset, so that the caller can read its last observation and state.
     ///
     /// # Errors
-    /// If `actions` has a wrong length or contains an invalid action (no environment is stepped), a reward is above what
-    /// learners accept, or an external environment fails.
+    /// If `actions` has a wrong length or contains an invalid action (no environment is stepped), or an external
+    /// environment fails.
     ///
     /// # Panics
     /// If `outcome` has a wrong length.

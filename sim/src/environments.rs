@@ -6,7 +6,7 @@ mod warnings;
 
 use std::sync::Arc;
 
-use proto::{ActuatorSpec, EnvironmentSpec, EpisodePosition, MAX_MAGNITUDE};
+use proto::{ActuatorSpec, EnvironmentSpec, EpisodePosition};
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
 use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions};
@@ -222,7 +222,6 @@ impl EnvironmentBatch for RobotEnvironments {
         check_actions(&self.description, self.count(), actions)?;
         for (index, outcome) in outcome.iter_mut().enumerate() {
             *outcome = self.step_one(index, &actions[index * size..][..size]);
-            self.demand_moderate(index, outcome.reward)?;
         }
         Ok(())
     }
@@ -333,20 +332,6 @@ impl RobotEnvironments {
         std::mem::swap(&mut environment.now, &mut self.next);
         self.update_state(index);
         self.outcome(index, mass_centre_before)
-    }
-
-    /// Refuses a reward, and a term of it, that no learner accepts.
-    fn demand_moderate(&self, index: usize, reward: f32) -> Result<(), SimError> {
-        let terms = self.description.reward_terms.iter().zip(&self.environments[index].terms);
-        match terms.max_by(|one, other| one.1.abs().total_cmp(&other.1.abs())) {
-            Some((name, value)) if reward.abs().max(value.abs()) > MAX_MAGNITUDE => {
-                Err(SimError::Task(format!(
-                    "a step has the reward {reward:e}, of which `{name}` gives {value:e}; lower the term's weight: rewards and \
-                     their terms may be at most {MAX_MAGNITUDE:e}"
-                )))
-            }
-            _ => Ok(()),
-        }
     }
 
     /// Computes the global state of `now`, of which features of contact forces stay 0, and what the agents observe of it.

@@ -14,7 +14,7 @@ pub(crate) fn short<T: Copy + Display + LowerExp + Into<f64>>(number: T) -> Stri
 /// Why environments cannot be built, restored or stepped.
 #[derive(Debug, Error)]
 pub enum SimError {
-    /// The task is unknown, its file is invalid, it does not support the settings, or its reward is too large; in words.
+    /// The task is unknown, its file is invalid, or it does not support the settings; in words.
     #[error("{0}")]
     Task(String),
     /// The slot has no environments.

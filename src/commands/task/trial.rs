@@ -3,6 +3,7 @@
 use anyhow::Context as _;
 use policy::randomness::uniform;
 use policy::{Draw, DrawKey, Purpose, RunSeed};
+use proto::MAX_MAGNITUDE;
 use sim::{EnvironmentBatch, Outcome, Pose};
 
 use crate::figures::chart;
@@ -72,6 +73,7 @@ impl Trial {
             world.step(&action, &mut outcome)?;
             self.steps += 1;
             self.total += f64::from(outcome[0].reward);
+            demand_moderate(world, outcome[0].reward)?;
             self.note_speed(world);
             if outcome[0].is_end() {
                 break;
@@ -125,6 +127,19 @@ impl Trial {
         };
         film::strip(robot, &(0..count).map(frame).collect::<Vec<_>>(), ViewDirection::Side)
     }
+}
+
+/// Refuses a reward, and a term of it, that no learner accepts.
+fn demand_moderate(world: &dyn EnvironmentBatch, reward: f32) -> anyhow::Result<()> {
+    let terms = world.description().reward_terms.iter().zip(world.reward_terms(0));
+    let largest = terms.max_by(|one, other| one.1.abs().total_cmp(&other.1.abs()));
+    let Some((name, value)) = largest else { return Ok(()) };
+    anyhow::ensure!(
+        reward.abs().max(value.abs()) <= MAX_MAGNITUDE,
+        "a step with random actions has the reward {reward:e}, of which `{name}` gives {value:e}; lower the term's weight: \
+         rewards and their terms may be at most {MAX_MAGNITUDE:e}"
+    );
+    Ok(())
 }
 
 /// Actions of all agents, uniform in their ranges, `[A]`.
