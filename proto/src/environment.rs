@@ -47,13 +47,15 @@ pub struct AgentSpec {
     pub observation: Vec<FeatureSpec>,
     /// Indices in the global state of the observed features, unscaled; empty if the state lacks any of them.
     pub seen: Vec<usize>,
-    /// Indices in the global state of what `k_nearest` would show, which only digests cover; empty in the same case.
+    /// Indices in the global state of the features that `k_nearest` would show; empty in the same case. Nothing here reads
+    /// or compares them: programs of earlier versions do, and the digest of a description covers them.
     pub near: Vec<usize>,
     /// Its action.
     pub action: ActionSpec,
 }
 
-/// Largest continuous action, in units of half a range: rewards that count squares of unclamped actions stay finite.
+/// Largest continuous action, in units of half a range. Rewards count squares of actions that are not clamped: this bound keeps
+/// them finite.
 pub const LARGEST_ACTION: f32 = 1e6;
 
 /// An agent's action, `[size]`: continuous, clamped by the world to `low..=high`, or one choice. In runs a continuous
@@ -140,10 +142,6 @@ impl EnvironmentSpec {
         for (i, agent) in self.agents.iter().enumerate() {
             let agent_field = format!("{field}.agents[{i}]");
             agent.check_names(&agent_field)?;
-            if self.agents[..i].iter().any(|other| other.name == agent.name) {
-                let detail = format!("another agent is called {:?}, too", agent.name);
-                return Err(bad_value(&format!("{agent_field}.name"), detail));
-            }
             agent.action.check(&format!("{agent_field}.action.choices"))?;
             agent.check_indices(self.state.len(), &format!("{agent_field}.seen"))?;
         }

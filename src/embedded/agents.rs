@@ -1,5 +1,7 @@
 //! Descriptions of agents as JSON, as Python's `AgentSpec` has them.
 
+use std::collections::BTreeSet;
+
 use policy::ActorPolicy;
 use serde_json::{Value, json};
 use sim::EnvironmentBatch;
@@ -25,9 +27,13 @@ pub(super) fn of_task(world: &dyn EnvironmentBatch) -> Vec<Value> {
 }
 
 /// The agents of an external environment, of which only that program knows features and limits. The run's `manifest` has
-/// their names.
+/// their names, which count if they differ.
 pub(super) fn of_policies(policies: &[ActorPolicy], manifest: Option<&Value>) -> Vec<Value> {
-    let names = manifest.and_then(|manifest| manifest[AGENTS].as_array());
+    // Two agents may have one name in another program.
+    let are_distinct = |names: &&Vec<Value>| {
+        names.iter().filter_map(Value::as_str).collect::<BTreeSet<_>>().len() == names.len()
+    };
+    let names = manifest.and_then(|manifest| manifest[AGENTS].as_array()).filter(are_distinct);
     let agents = policies.iter().enumerate().map(|(index, policy)| {
         let name = names.and_then(|names| names.get(index)?.as_str());
         json!({
