@@ -112,10 +112,7 @@ impl Environments {
     /// `rollouts`.
     pub fn advance(&mut self, batch: &Batch, rollouts: &[SlotRollout]) {
         assert_eq!(batch.environments, self.starts.len(), "environments of all slots");
-        let is_new = self.is_new();
-        let fresh = |start: &Start| !is_new && matches!(start, Start::Fresh { .. });
-        let begun_again = (0..).zip(&self.starts).filter(|(_, start)| fresh(start));
-        self.begun_again = begun_again.map(|(environment, _)| environment).collect();
+        self.begun_again = self.replaced();
         self.faults = 0;
         for row in 0..batch.rows() {
             let environment = row % batch.environments;
@@ -231,12 +228,22 @@ impl Environments {
     /// Adds `environments/begun_again`, `[B]`, with 1 for each environment that has no state because it begins a new episode.
     /// Without such an environment, and before the first iteration, there is none.
     fn add_begun_again(&self, arrays: &mut NamedArrays) {
-        let fresh = |start: &Start| i64::from(matches!(start, Start::Fresh { .. }));
-        let data = self.starts.iter().map(fresh).collect::<Vec<_>>();
-        if data.contains(&1) && !self.is_new() {
+        let mut data = vec![0; self.starts.len()];
+        self.replaced().iter().for_each(|environment| data[*environment as usize] = 1);
+        if data.contains(&1) {
             let array = Array::I64 { shape: vec![data.len()], data };
             arrays.insert(BEGUN_AGAIN.to_owned(), array);
         }
+    }
+
+    /// Environments that begin a new episode in place of one that could not be continued.
+    fn replaced(&self) -> Vec<u32> {
+        if self.is_new() {
+            return Vec::new();
+        }
+        let fresh =
+            (0..).zip(&self.starts).filter(|(_, start)| matches!(start, Start::Fresh { .. }));
+        fresh.map(|(environment, _)| environment).collect()
     }
 
     /// Whether no environment has taken a step. Only first episodes have the index 0.
