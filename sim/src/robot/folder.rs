@@ -177,7 +177,9 @@ fn resolved(path: &str) -> Result<String, String> {
         match part {
             "" | "." => {}
             ".." if parts.pop().is_none() => {
-                return Err(format!("`{path}` leaves the model's folder"));
+                return Err(format!(
+                    "`{path}` leaves the model's folder; put the task file into a folder that holds both"
+                ));
             }
             ".." => {}
             part => parts.push(part),

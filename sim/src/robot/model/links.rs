@@ -37,7 +37,8 @@ pub(super) struct Links<'a> {
     bodies: Vec<Option<&'a Body>>,
     /// The link of each body, and the body's frame in it.
     pub(super) homes: Vec<Home>,
-    /// Mass centre of each body in its link; of a body without a mass its origin.
+    /// Mass centre of each body in its link. That of a body without a mass is, as in MuJoCo, its position in its parent,
+    /// taken as one in itself.
     pub(super) mass_centres: Vec<Vector>,
 }
 
@@ -68,7 +69,7 @@ pub(super) fn read<'a>(
             0 => (parent, inside),
             _ => (Some(links.plans.len() - 1), Pose::IDENTITY),
         };
-        links.mass_centres.push(home.1.translation);
+        links.mass_centres.push(home.1 * body.frame.pose().translation);
         if let Some(link) = home.0 {
             links.add_parts((index, body), link, &home.1, (&mut *context, &mut *folder));
         }
@@ -183,8 +184,7 @@ impl<'a> Links<'a> {
             if is_drawn {
                 let touches = context.options.has_contacts && geom.collides();
                 let surface = Some(geom.surface).filter(|_| touches);
-                // MuJoCo's mass centre of a body without a mass: its position in its parent, as one in itself.
-                let mass_centre = *frame * body.frame.pose().translation;
+                let mass_centre = self.mass_centres[index];
                 let name = geom.name();
                 let pose = *frame * pose;
                 let plan = ShapePlan { name, shape, pose, surface, body: index, mass_centre };

@@ -339,3 +339,31 @@ fn a_site_whose_two_points_do_not_decide_its_place_is_refused() {
         assert!(reason.contains("line 3, <site>") && reason.contains(expected), "{reason}");
     }
 }
+
+/// MuJoCo takes the place of a body without a mass in its parent as its mass centre in itself, on which the softness of its
+/// connections depends. After 0.2 s.
+#[test]
+fn a_connection_of_a_body_without_a_mass_is_as_soft_as_in_mujoco() {
+    for (place, equality, expected) in [
+        (
+            ".3 0 .2",
+            "connect body1=\"hand\" body2=\"world\" anchor=\"0 0 0\"",
+            [0.164644, -0.276234],
+        ),
+        (".3 0 .2", "weld body1=\"world\" body2=\"hand\"", [0.122721, -0.16774]),
+        (
+            ".1 0 .7",
+            "connect body1=\"hand\" body2=\"world\" anchor=\"0 0 0\"",
+            [0.278855, -0.261306],
+        ),
+    ] {
+        let mjcf = format!(
+            "<mujoco><option timestep=\".001\"/><worldbody><body pos=\"0 0 1\"><joint axis=\"0 1 0\"/>\
+             <geom type=\"capsule\" size=\".03\" fromto=\"0 0 0 .4 0 0\"/><body pos=\".4 0 0\">\
+             <joint axis=\"0 1 0\"/><geom type=\"capsule\" size=\".03\" fromto=\"0 0 0 .3 0 0\"/>\
+             <body name=\"hand\" pos=\"{place}\"><geom size=\".02\" mass=\"0\" contype=\"0\" conaffinity=\"0\"/>\
+             </body></body></body></worldbody><equality><{equality} solref=\".1 1\"/></equality></mujoco>"
+        );
+        assert_near(equality, &moved(&mjcf, &[0.0; 2], 200), &expected, 1e-4);
+    }
+}
