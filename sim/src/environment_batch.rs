@@ -185,6 +185,12 @@ pub trait EnvironmentBatch: Send {
     }
 }
 
+/// An action in units of half a range, in the range's own unit, such as that of a motor's control; not clamped. For the range
+/// -1 to 1 this is exactly the action.
+pub fn in_range([low, high]: [f32; 2], action: f32) -> f32 {
+    (low / 2.0 + high / 2.0) + (high / 2.0 - low / 2.0) * action
+}
+
 /// Checks actions `[E, A]` of `environments` environments of a task: their number, that continuous ones are numbers of at most
 /// 1e6, and that discrete ones are indices of choices.
 ///

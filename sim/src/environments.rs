@@ -9,7 +9,7 @@ use std::sync::Arc;
 use proto::{ActuatorSpec, EnvironmentSpec, EpisodePosition};
 
 use crate::config::{ContactForces, ObservationConfig, TaskConfig};
-use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions};
+use crate::environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions, in_range};
 use crate::error::{SimError, StateError};
 use crate::noise::{DrawPurpose, generator};
 use crate::observation::Observation;
@@ -84,7 +84,7 @@ fn rest(
     motors: &[Driven],
     position: EpisodePosition,
 ) -> State {
-    let controls = motors.iter().map(|driven| driven.scale.apply(0.0)).cycle();
+    let controls = motors.iter().map(|driven| in_range(driven.range, 0.0)).cycle();
     let draws = EpisodeDraws { key: [0; 32], is_disturbed: false };
     State {
         position,
@@ -294,7 +294,7 @@ impl RobotEnvironments {
         let environment = &mut self.environments[index];
         for ((driven, asked), &number) in self.motors.iter().zip(&mut self.asked).zip(action) {
             // Valid states hold no larger ones.
-            *asked = driven.scale.apply(number).clamp(-LARGEST_ACTION, LARGEST_ACTION);
+            *asked = in_range(driven.range, number).clamp(-LARGEST_ACTION, LARGEST_ACTION);
             self.controls[driven.motor] = driven.limited(*asked);
         }
         if let Some(back) = environment.drawn.action_delay.checked_sub(1) {

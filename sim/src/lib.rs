@@ -5,7 +5,6 @@
 //! depends only on the
 //! encoded state and the actions: `reset` and `restore` both call the one function that rebuilds a world from bytes.
 
-mod action_scale;
 mod arrays;
 mod config;
 mod environment_batch;
@@ -22,12 +21,13 @@ mod state;
 mod task;
 mod world;
 
-pub use action_scale::ActionScale;
 pub use config::{
     ContactForces, ObservationConfig, ObservationMode, ObservationNorm, RootView, TaskConfig,
     TaskDefinition,
 };
-pub use environment_batch::{Disturbances, EnvironmentBatch, Outcome, check_actions, environments};
+pub use environment_batch::{
+    Disturbances, EnvironmentBatch, Outcome, check_actions, environments, in_range,
+};
 pub use error::{SimError, StateError};
 pub use observation::standardise;
 pub use probe::probe;

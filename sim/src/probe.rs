@@ -115,19 +115,12 @@ fn actions(environments: &dyn EnvironmentBatch, step: usize) -> Vec<f32> {
 }
 
 fn record(environments: &dyn EnvironmentBatch, outcome: &[Outcome; 2], numbers: &mut Vec<f32>) {
-    let description = environments.description();
     for (environment, outcome) in outcome.iter().enumerate() {
         let flags = [outcome.terminated, outcome.truncated, outcome.fault];
         numbers.push(outcome.reward);
         numbers.extend(flags.map(f32::from));
-        for (agent, described) in description.agents.iter().enumerate() {
-            let start = numbers.len();
-            numbers.resize(start + described.observation.len(), 0.0);
-            environments.observation(environment, agent, &mut numbers[start..]);
-        }
-        let start = numbers.len();
-        numbers.resize(start + description.state.len(), 0.0);
-        environments.state(environment, &mut numbers[start..]);
+        numbers.extend(environments.observations_of(environment).concat());
+        numbers.extend(environments.state_of(environment));
     }
 }
 

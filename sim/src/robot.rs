@@ -42,7 +42,7 @@ pub(crate) use blueprint::{
 pub(crate) use convex::Convex;
 pub(crate) use coupling::{Combination, ConnectionPlan, Coupled, EqualityPlan, TendonPlan, Thrust};
 pub(crate) use fluid::Fluid;
-pub(crate) use frame::{product, turned, unit, wide, wide_rotation};
+pub(crate) use frame::{product, turned, unit};
 pub(crate) use kinematics::{Place, PlaceMotion};
 pub(crate) use layout::{FreeFriction, HingeMap, JointMap, Layout, MapKind, Orientation};
 pub(crate) use neighbourhood::Neighbourhood;

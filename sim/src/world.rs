@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use rapier3d::dynamics::{Multibody, MultibodyJoint};
 use rapier3d::math::{Pose, Rotation, Vector};
-use rapier3d::prelude::{MultibodyIndex, PhysicsWorld};
+use rapier3d::prelude::PhysicsWorld;
 
 pub(crate) use conditions::EpisodeConditions;
 pub(crate) use constraints::Constraints;
@@ -20,7 +20,7 @@ pub(crate) use contact_law::ContactLaw;
 pub(crate) use hinge_drives::HingeDrives;
 
 use crate::robot::{
-    JointMap, Law, MapKind, Robot, ball_joint, ball_rotation, empty_world, floating_joint,
+    JointMap, Law, Layout, MapKind, Robot, ball_joint, ball_rotation, empty_world, floating_joint,
 };
 use crate::scene::{JointPose, LinkPose, parts};
 
@@ -150,16 +150,15 @@ impl World {
     /// Runs one physics step with the last controls. Returns whether the state is still finite.
     pub fn substep(&mut self) -> bool {
         let layout = &self.robot.layout;
-        let set = &mut self.physics.multibody_joints;
-        let robot = set.get_multibody_mut(layout.multibody).expect("the template holds the robot");
+        let robot = layout.robot_in_mut(&mut self.physics.multibody_joints);
         self.drives.apply(robot, &layout.hinges);
         match &mut self.enforcer {
             Enforcer::Engine(contacts) => {
                 contacts.observe(&self.robot, robot);
                 self.physics.step_with_events(&*contacts, &());
                 self.drives.advance(1.0, None);
-                let robot = self.physics.multibody_joints.get_multibody(layout.multibody);
-                self.drives.note(robot.expect("the template holds the robot"), &layout.hinges);
+                let robot = layout.robot_in(&self.physics.multibody_joints);
+                self.drives.note(robot, &layout.hinges);
                 // The engine disables bodies with non-finite values and reports this only here.
                 self.physics.quarantine().is_empty()
             }
@@ -229,21 +228,18 @@ impl World {
     /// Sets all joints and links to this motion, and what the engine's solver reads. The contacts keep their impulses.
     fn write(&mut self, coordinates: &[f32], velocities: &[f32]) {
         for index in 0..self.robot.layout.joints.len() {
-            let joint = self.robot.layout.joints[index];
-            self.write_joint(index, &joint, coordinates, velocities);
+            self.write_joint(index, coordinates, velocities);
         }
-        let index = self.robot.layout.multibody;
-        let multibody = self.physics.multibody_joints.get_multibody_mut(index);
-        let multibody = multibody.expect("the template holds the robot");
+        let layout = &self.robot.layout;
+        let multibody = layout.robot_in_mut(&mut self.physics.multibody_joints);
         multibody.forward_kinematics(&self.physics.bodies, true);
         if let Enforcer::Engine(_) = self.enforcer {
-            place(&mut self.physics, index);
+            place(&mut self.physics, layout);
         }
     }
 
     fn multibody(&self) -> &Multibody {
-        let index = self.robot.layout.multibody;
-        self.physics.multibody_joints.get_multibody(index).expect("the template holds the robot")
+        self.robot.layout.robot_in(&self.physics.multibody_joints)
     }
 
     fn frame(&self, joint: &JointMap) -> Pose {
@@ -251,19 +247,11 @@ impl World {
     }
 
     /// The template's coordinates are zero, so a displacement from there sets them exactly.
-    fn write_joint(
-        &mut self,
-        index: usize,
-        joint: &JointMap,
-        coordinates: &[f32],
-        velocities: &[f32],
-    ) {
-        let plan = &self.robot.blueprint.links[index];
-        let index = self.robot.layout.multibody;
-        let multibody = self.physics.multibody_joints.get_multibody_mut(index);
-        let multibody = multibody.expect("the template holds the robot");
-        let template = self.robot.template.multibody_joints.get_multibody(index);
-        let template = template.and_then(|template| template.link(joint.link));
+    fn write_joint(&mut self, index: usize, coordinates: &[f32], velocities: &[f32]) {
+        let Robot { blueprint, layout, template, .. } = &*self.robot;
+        let (plan, joint) = (&blueprint.links[index], &layout.joints[index]);
+        let multibody = layout.robot_in_mut(&mut self.physics.multibody_joints);
+        let template = layout.robot_in(&template.multibody_joints).link(joint.link);
         let q = &coordinates[joint.coordinate..];
         let link = multibody.link_mut(joint.link).expect("the layout is this robot's");
         link.joint = *template.expect("the layout is this robot's").joint();
@@ -299,10 +287,8 @@ impl World {
 
 /// Moves bodies and colliders to the poses of a multibody's links. The engine leaves the colliders where they are, and the
 /// next step would use the contacts there.
-fn place(physics: &mut PhysicsWorld, index: MultibodyIndex) {
-    let multibody = physics.multibody_joints.get_multibody(index);
-    let multibody = multibody.expect("the template holds the robot");
-    multibody.update_rigid_bodies(&mut physics.bodies, true);
+fn place(physics: &mut PhysicsWorld, layout: &Layout) {
+    layout.robot_in(&physics.multibody_joints).update_rigid_bodies(&mut physics.bodies, true);
     for (_, collider) in physics.colliders.iter_mut() {
         let parent = collider.parent().and_then(|parent| physics.bodies.get(parent));
         if let (Some(body), Some(inside)) = (parent, collider.position_wrt_parent().copied()) {

@@ -1,7 +1,7 @@
 //! The agents' actions in the unit of the program that provides the environment.
 
 use proto::{ActionSpec, AgentSpec, EnvironmentSpec};
-use sim::ActionScale;
+use sim::in_range;
 
 /// Numbers of the joint action, `A`.
 pub(super) fn width(offered: &EnvironmentSpec) -> usize {
@@ -17,7 +17,7 @@ pub(super) fn by_agent(offered: &EnvironmentSpec, actions: &[f32]) -> Vec<Vec<f3
         let columns = from..from + size;
         from += size;
         let own = |number: &f32| match choices {
-            None => ActionScale::to([low, high]).apply(*number),
+            None => in_range([low, high], *number),
             Some(_) => *number,
         };
         actions.chunks_exact(width).flat_map(|row| &row[columns.clone()]).map(own).collect()

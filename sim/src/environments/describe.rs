@@ -2,7 +2,6 @@
 
 use proto::{ActionSpec, AgentSpec, EnvironmentSpec, FeatureRole};
 
-use crate::action_scale::ActionScale;
 use crate::config::ObservationConfig;
 use crate::error::SimError;
 use crate::observation::{self, GlobalState, Observation, contact_features};
@@ -82,8 +81,6 @@ pub(super) struct Driven {
     pub(super) motor: usize,
     /// Controls for the actions -1 and 1.
     pub(super) range: [f32; 2],
-    /// Map from the action to the motor's control.
-    pub(super) scale: ActionScale,
 }
 
 impl Driven {
@@ -94,10 +91,7 @@ impl Driven {
 
     /// Motors of all agents, in agent order, `[A]`.
     pub(super) fn all(task: &Task) -> Vec<Self> {
-        let driven = |&motor: &usize| {
-            let range = task.control_ranges[motor];
-            Self { motor, range, scale: ActionScale::to(range) }
-        };
+        let driven = |&motor: &usize| Self { motor, range: task.control_ranges[motor] };
         task.agents.iter().flatten().map(driven).collect()
     }
 }

@@ -2,7 +2,6 @@
 //!
 //! Angles become quaternions with the sine and cosine of `libm`, which are the same on every machine.
 
-use rapier3d::glamx::{DQuat, DVec3};
 use rapier3d::math::{Pose, Rotation, Vector};
 
 use super::document::{Element, ORIENTATIONS};
@@ -131,16 +130,6 @@ impl Frame {
 /// A vector in single precision.
 pub(super) fn vector(numbers: [f64; 3]) -> Vector {
     Vector::from_array(numbers.map(|number| number as f32))
-}
-
-/// A vector in double precision.
-pub(crate) fn wide(vector: Vector) -> DVec3 {
-    DVec3::from_array(vector.to_array().map(f64::from))
-}
-
-/// A rotation in double precision.
-pub(crate) fn wide_rotation(rotation: Rotation) -> DQuat {
-    DQuat::from_array(rotation.to_array().map(f64::from))
 }
 
 pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {

@@ -5,7 +5,7 @@ use rapier3d::math::{Pose, Rotation, Vector};
 
 use super::Robot;
 use super::blueprint::{JointPlan, LinkPlan, Motion};
-use super::frame::{about, wide, wide_rotation};
+use super::frame::about;
 use super::layout::JointMap;
 
 /// A body or a fixed point, with the joints between the world and it.
@@ -158,8 +158,8 @@ impl PlaceMotion {
 
 impl Frame {
     fn of(pose: &Pose) -> Self {
-        let rotation = wide_rotation(pose.rotation);
-        Self { position: wide(pose.translation), rotation }
+        let rotation = pose.rotation.as_dquat();
+        Self { position: pose.translation.as_dvec3(), rotation }
     }
 }
 
@@ -169,14 +169,14 @@ impl PlacedJoint {
             JointPlan::Fixed => JointMotion::Fixed,
             JointPlan::Planar(_) => JointMotion::Planar,
             JointPlan::Free(_) | JointPlan::Floating(_) => JointMotion::Free,
-            JointPlan::Ball(ball) => JointMotion::Ball { anchor: wide(ball.anchor) },
+            JointPlan::Ball(ball) => JointMotion::Ball { anchor: ball.anchor.as_dvec3() },
             JointPlan::Hinge(hinge) => {
                 let mut unit = Vector::ZERO;
                 unit[hinge.axis.free] = hinge.axis.sign;
-                let axis = wide(hinge.axis.frame * unit);
+                let axis = (hinge.axis.frame * unit).as_dvec3();
                 match hinge.motion {
                     Motion::Rotation | Motion::Ball => {
-                        JointMotion::Turn { axis, anchor: wide(hinge.anchor) }
+                        JointMotion::Turn { axis, anchor: hinge.anchor.as_dvec3() }
                     }
                     Motion::Translation => JointMotion::Slide { axis },
                 }

@@ -4,7 +4,7 @@ mod inverses;
 
 use std::collections::BTreeSet;
 
-use rapier3d::dynamics::MultibodyJoint;
+use rapier3d::dynamics::{Multibody, MultibodyJoint};
 use rapier3d::math::Rotation;
 use rapier3d::prelude::*;
 
@@ -188,6 +188,16 @@ impl HingeMap {
 }
 
 impl Layout {
+    /// The robot in a copy of its template.
+    pub(crate) fn robot_in<'a>(&self, joints: &'a MultibodyJointSet) -> &'a Multibody {
+        joints.get_multibody(self.multibody).expect("the template holds the robot")
+    }
+
+    /// The robot in a copy of its template, to be changed.
+    pub(crate) fn robot_in_mut<'a>(&self, joints: &'a mut MultibodyJointSet) -> &'a mut Multibody {
+        joints.get_multibody_mut(self.multibody).expect("the template holds the robot")
+    }
+
     /// Joint of the robot's root.
     pub(crate) fn root_joint(&self) -> &JointMap {
         &self.joints[self.root]

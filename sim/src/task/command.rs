@@ -1,7 +1,9 @@
 //! Commands: a target velocity of the root or another body, drawn per episode, which the agents observe and the reward can follow.
 
+use std::fmt;
+
 use proto::{FeatureRole, FeatureSpec};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::Motion;
 use super::definition::refused;
@@ -37,7 +39,7 @@ pub(crate) struct CommandRow {
 }
 
 /// A component of the target velocity.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Heading {
     /// Along the body's x axis, projected onto the ground.
@@ -66,13 +68,10 @@ enum Follower {
     Body(Place),
 }
 
-impl Heading {
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Forward => "forward",
-            Self::Sideways => "sideways",
-            Self::Yaw => "yaw",
-        }
+/// The name in task files.
+impl fmt::Display for Heading {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 
@@ -105,7 +104,7 @@ impl Follower {
         let turns = components.iter().find(|(heading, _)| *heading != Heading::Forward);
         if let (Self::Planar(_), Some((heading, _))) = (&follower, turns) {
             let why = "needs a robot with a free joint; this one moves in a plane";
-            return Err(refused(format!("command.{} {why}", heading.word())));
+            return Err(refused(format!("command.{} {why}", heading)));
         }
         Ok(body.map_or(follower, |body| Self::Body(robot.place(body))))
     }
@@ -125,7 +124,7 @@ impl CommandRanges {
         }
         for (heading, range) in &components {
             let bounds = [-FASTEST_COMMAND, FASTEST_COMMAND];
-            ascending(&format!("command.{}", heading.word()), *range, bounds)?;
+            ascending(&format!("command.{}", heading), *range, bounds)?;
         }
         let follower = Follower::new("command", row.of.as_deref(), robot, &components)?;
         Ok(Self { components, follower })
@@ -161,7 +160,7 @@ impl CommandRanges {
     /// Features of the target.
     pub(crate) fn features(&self) -> Vec<FeatureSpec> {
         let feature = |heading: Heading| FeatureSpec {
-            name: format!("command.{}", heading.word()),
+            name: format!("command.{}", heading),
             role: FeatureRole::Signal,
         };
         self.headings().map(feature).collect()
@@ -171,7 +170,7 @@ impl CommandRanges {
     pub(crate) fn lines(&self) -> Vec<String> {
         let line = |(heading, [low, high]): &(Heading, [f32; 2])| {
             let unit = if *heading == Heading::Yaw { "rad/s" } else { "m/s" };
-            format!("command {}: {low} to {high} {unit}, in each episode", heading.word())
+            format!("command {}: {low} to {high} {unit}, in each episode", heading)
         };
         self.components.iter().map(line).collect()
     }

@@ -1,8 +1,9 @@
 //! A task file: a robot's model, agents, reward, start, end and state as data. TOML, with an MJCF file beside it.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::body_terms::Goal;
 use super::command::{CommandRow, Heading};
@@ -92,7 +93,7 @@ pub(crate) struct TermRow {
 }
 
 /// Names of the terms.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum TermName {
     /// [`super::terms::forward_speed`]
@@ -123,6 +124,13 @@ pub(crate) enum TermName {
     Height,
     /// [`super::body_terms::spread`]
     Spread,
+}
+
+/// The name in task files.
+impl fmt::Display for TermName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// Range of a coordinate, in the model's own frame, m or rad, or of a feature.

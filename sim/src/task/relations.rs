@@ -1,9 +1,10 @@
 //! Features of the global state that relate bodies to each other: where an object is from a robot, a target from an object.
 
 use std::collections::BTreeSet;
+use std::fmt;
 
 use rapier3d::glamx::{DQuat, DVec3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::Motion;
 use super::definition::{Axes, refused};
@@ -33,7 +34,7 @@ pub(crate) struct RelationRow {
 }
 
 /// What a row observes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Relation {
     /// From origin to origin, m.
@@ -156,8 +157,7 @@ impl Observed {
             return Err(refused(format!(
                 "state.bodies ({name}): `{}` is constant, because `{}` and `{from}` are {why}; state `features` without it, or \
                  name another body",
-                own.word(),
-                row.of
+                own, row.of
             )));
         }
         Ok(Self {
@@ -179,6 +179,13 @@ impl Observed {
     }
 }
 
+/// The name in task files.
+impl fmt::Display for Relation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
 impl Relation {
     /// Names of its components.
     fn words(self) -> &'static [&'static str] {
@@ -186,16 +193,6 @@ impl Relation {
             Self::Position | Self::Velocity => &["x", "y", "z"],
             Self::Orientation => &["qw", "qx", "qy", "qz"],
             Self::AngularVelocity => &["wx", "wy", "wz"],
-        }
-    }
-
-    /// Its name in task files.
-    fn word(self) -> &'static str {
-        match self {
-            Self::Position => "position",
-            Self::Velocity => "velocity",
-            Self::Orientation => "orientation",
-            Self::AngularVelocity => "angular_velocity",
         }
     }
 

@@ -229,9 +229,9 @@ fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> V
 pub(super) fn term_names(file: &TaskFile) -> Vec<String> {
     let rows: Vec<&TermRow> = file.reward.iter().chain(&file.cost).collect();
     let name = |(index, row): (usize, &&TermRow)| {
-        let word = row.term.word();
+        let word = row.term;
         match rows[..index].iter().filter(|before| before.term == row.term).count() {
-            0 => word.to_owned(),
+            0 => word.to_string(),
             before => format!("{word}_{}", before + 1),
         }
     };
@@ -248,7 +248,7 @@ fn of_root(file: &TaskFile) -> Vec<String> {
     };
     let of = |key: &'static str, rows: &[TermRow]| {
         let reading = rows.iter().filter(reads);
-        reading.map(|row| format!("`{key}.{}`", row.term.word())).collect::<Vec<_>>()
+        reading.map(|row| format!("`{key}.{}`", row.term)).collect::<Vec<_>>()
     };
     let is_upright =
         |row: &&HealthyRow| row.feature.as_deref() == Some("upright") && row.of.is_none();

@@ -164,7 +164,7 @@ impl WeightedSum {
         command: &CommandRanges,
     ) -> Result<Self, SimError> {
         let resolve = |row: &TermRow| {
-            let place = format!("{key}.{}", row.term.word());
+            let place = format!("{key}.{}", row.term);
             within(&format!("{place}.weight"), row.weight, -LARGEST_NUMBER, LARGEST_NUMBER)?;
             Ok((row.weight, term(&place, row, robot, command)?))
         };
@@ -201,25 +201,6 @@ impl WeightedSum {
 }
 
 impl TermName {
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::ForwardSpeed => "forward_speed",
-            Self::Alive => "alive",
-            Self::Control => "control",
-            Self::TargetDistance => "target_distance",
-            Self::Upright => "upright",
-            Self::InRange => "in_range",
-            Self::ActionRate => "action_rate",
-            Self::VelocityTracking => "velocity_tracking",
-            Self::MassCentreSpeed => "mass_centre_speed",
-            Self::Distance => "distance",
-            Self::Approach => "approach",
-            Self::Progress => "progress",
-            Self::Height => "height",
-            Self::Spread => "spread",
-        }
-    }
-
     /// Keys of the term besides `weight`.
     fn keys(self) -> &'static [&'static str] {
         match self {
@@ -349,7 +330,7 @@ fn followed(
     }
     check_repeats(&format!("{place}.components"), &followed)?;
     let resolve = |heading: Heading| {
-        let why = || refused(format!("{place}: [command] has no range `{}`", heading.word()));
+        let why = || refused(format!("{place}: [command] has no range `{}`", heading));
         Ok((command.index(heading).ok_or_else(why)?, heading))
     };
     followed.into_iter().map(resolve).collect()

@@ -32,9 +32,7 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::PhysicsWorld;
 
 use super::HingeDrives;
-use crate::robot::{
-    FreeFriction, HingeMap, ImplicitForces, Integration, Layout, Robot, unit, wide,
-};
+use crate::robot::{FreeFriction, HingeMap, ImplicitForces, Integration, Layout, Robot, unit};
 use contacts::Touching;
 use gyroscopic::LoneLink;
 use matrix::{Factor, dot};
@@ -136,11 +134,10 @@ impl Constraints {
         physics: &mut PhysicsWorld,
     ) -> bool {
         let layout = &robot.layout;
-        let multibody = physics.multibody_joints.get_multibody(layout.multibody);
-        let multibody = multibody.expect("the template holds the robot");
+        let multibody = layout.robot_in(&physics.multibody_joints);
         self.start.read(robot, multibody, physics, drives.thrusts());
         self.weigh(layout, drives, multibody);
-        self.count_forces_on_links(layout, drives, wide(physics.gravity));
+        self.count_forces_on_links(layout, drives, physics.gravity.as_dvec3());
         if !self.constrain(robot, physics) {
             return false;
         }
@@ -260,8 +257,7 @@ impl Constraints {
         [moving, speeds]: [&[f64]; 2],
     ) -> bool {
         let layout = &robot.layout;
-        let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
-        let multibody = multibody.expect("the template holds the robot");
+        let multibody = layout.robot_in_mut(&mut physics.multibody_joints);
         let write = |multibody: &mut Multibody, speeds: &[f64]| {
             let mut to = multibody.generalized_velocity_mut();
             to.iter_mut().zip(speeds).for_each(|(to, speed)| *to = *speed as f32);

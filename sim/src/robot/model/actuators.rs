@@ -9,7 +9,6 @@ use super::super::activation::Activation;
 use super::super::blueprint::{Hinge, LinkPlan, MotorPlan, Servo};
 use super::super::coupling::{Combination, TendonPlan, Thrust};
 use super::super::document::{Element, bounds};
-use super::super::frame::wide_rotation;
 use super::bodies::Body;
 use super::context::Context;
 use super::links::Links;
@@ -197,7 +196,7 @@ fn on_site(
     let link = moves.ok_or_else(|| element.refuse_for("site", fixed))?;
     let site = home * frame.pose();
     let [x, y, z, roll, pitch, yaw] = element.padded("gear", GEAR)?;
-    let turn = wide_rotation(site.rotation);
+    let turn = site.rotation.as_dquat();
     let [force, torque] = [turn * DVec3::new(x, y, z), turn * DVec3::new(roll, pitch, yaw)];
     let gear = if force == DVec3::ZERO { torque.length() } else { force.length() };
     let unit = |part: DVec3| if gear > 0.0 { part / gear } else { part };

@@ -10,7 +10,7 @@ use super::near::{Bounds, Near};
 use super::points::{Manifolds, frame, is_repeated, touch, touch_field};
 use super::problem::ConstraintProblem;
 use crate::robot::{
-    Blueprint, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of, wide,
+    Blueprint, ContactPlan, ContactRules, GroundForm, PairPlan, Robot, Surface, shape_of,
 };
 use crate::scene::Shape;
 
@@ -335,8 +335,8 @@ impl Touching {
                     plan,
                     links,
                     inverse,
-                    point: wide(poses[0] * point.local_p1 + normal * (0.5 * point.dist)),
-                    axes: frame(normal, along).map(wide),
+                    point: (poses[0] * point.local_p1 + normal * (0.5 * point.dist)).as_dvec3(),
+                    axes: frame(normal, along).map(|axis| axis.as_dvec3()),
                     position: f64::from(point.dist) - f64::from(plan.margin),
                 };
                 self.normals.push(contact.add(blueprint, start, problem));

@@ -6,7 +6,7 @@ use super::matrix::dot;
 use super::motion::{LinkMotion, Motion};
 use super::problem::{ConstraintProblem, Kind};
 use crate::robot::{
-    Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan, product, wide,
+    Combination, ConnectionPlan, Coupled, EqualityPlan, Layout, Robot, TendonPlan, product,
 };
 
 /// Adds all constraints of a robot's tendons and equalities.
@@ -98,9 +98,9 @@ fn add_connection(
         let point = connection.ends[k].point;
         links[k].map_or(point, |link| link.pose * point)
     });
-    let off = wide(first - second).to_array();
+    let off = (first - second).as_dvec3().to_array();
     let [one, other] = [(links[0], first), (links[1], second)]
-        .map(|(link, point)| link.map_or(DVec3::ZERO, |link| link.acceleration(wide(point))));
+        .map(|(link, point)| link.map_or(DVec3::ZERO, |link| link.acceleration(point.as_dvec3())));
     let drift = (one - other).to_array();
     let along = |axis: usize| [DVec3::AXES[axis], DVec3::ZERO];
     let held = |k: usize| Held { off: off[k], wrench: along(k), drift: drift[k], inverse };
@@ -115,7 +115,7 @@ fn add_connection(
         let row = problem.add_row();
         for (sign, link, point) in [(1.0, links[0], first), (-1.0, links[1], second)] {
             if let Some(link) = link {
-                start.add_levers(row, (link, wide(point)), wrench, sign);
+                start.add_levers(row, (link, point.as_dvec3()), wrench, sign);
             }
         }
         let speed = dot(row, &start.speeds);

@@ -8,8 +8,7 @@ use rapier3d::prelude::PhysicsWorld;
 use super::super::{floating_at, floating_pose};
 use super::problem::ConstraintProblem;
 use crate::robot::{
-    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, Thrust, ball_joint, ball_rotation,
-    turned, wide, wide_rotation,
+    Fluid, JointMap, JointPlan, LinkPlan, MapKind, Robot, Thrust, ball_joint, ball_rotation, turned,
 };
 
 /// Levers up to this are rounding, m. Without compliance, even such a lever would turn a link.
@@ -92,8 +91,8 @@ impl Motion {
             let link = &mut rest[0];
             let parent = link.parent.map(|parent| &before[parent]);
             link.read(map, multibody, &physics.bodies);
-            link.pull[0] += link.weight * wide(physics.gravity);
-            link.origin = parent.map_or(wide(link.pose.translation), |parent| parent.origin);
+            link.pull[0] += link.weight * physics.gravity.as_dvec3();
+            link.origin = parent.map_or(link.pose.translation.as_dvec3(), |parent| parent.origin);
             let arm = link.mass_centre - link.origin;
             let jacobian = multibody.body_jacobian(map.link);
             let mut twist = parent.map_or([DVec3::ZERO; 2], |parent| {
@@ -103,7 +102,7 @@ impl Motion {
             for dof in &link.dofs[link.dofs.len() - link.own..] {
                 let column = jacobian.column(*dof);
                 let [moved, turned] =
-                    [0, 3].map(|k| wide(Vector::new(column[k], column[k + 1], column[k + 2])));
+                    [0, 3].map(|k| Vector::new(column[k], column[k + 1], column[k + 2]).as_dvec3());
                 let own = [moved - turned.cross(arm), turned];
                 self.twists[*dof] = own;
                 twist = [0, 1].map(|k| twist[k] + own[k] * self.speeds[*dof]);
@@ -147,8 +146,8 @@ impl Motion {
         for body in &fluid.boxes {
             let link = &mut self.links[body.link];
             let pose = link.pose * body.pose;
-            let axes = wide_rotation(pose.rotation);
-            let arm = wide(pose.translation) - link.mass_centre;
+            let axes = pose.rotation.as_dquat();
+            let arm = pose.translation.as_dvec3() - link.mass_centre;
             let [speed, spin] = link.velocity;
             let inside = [speed + spin.cross(arm) - wind, spin]
                 .map(|velocity| (axes.inverse() * velocity).to_array());
@@ -161,9 +160,9 @@ impl Motion {
     /// Adds the force of an actuator on a site.
     fn push(&mut self, thrust: &Thrust, size: f64) {
         let link = &mut self.links[thrust.link];
-        let turn = wide_rotation(link.pose.rotation);
+        let turn = link.pose.rotation.as_dquat();
         let [force, torque] = [thrust.force, thrust.torque].map(|part| turn * (size * part));
-        let arm = wide(link.pose * thrust.point) - link.mass_centre;
+        let arm = (link.pose * thrust.point).as_dvec3() - link.mass_centre;
         link.push(arm, [force, torque]);
         link.thrust = [link.thrust[0] + force, link.thrust[1] + torque + arm.cross(force)];
     }
@@ -261,14 +260,14 @@ impl LinkMotion {
         let properties = &body.mass_properties().local_mprops;
         self.pose = *link.local_to_world();
         self.joint = *link.joint();
-        let turn = DMat3::from_quat(wide_rotation(self.pose.rotation));
+        let turn = DMat3::from_quat(self.pose.rotation.as_dquat());
         let axes = properties.reconstruct_inertia_matrix().to_cols_array().map(f64::from);
         let is_massive = properties.inv_mass > 0.0;
-        self.mass_centre = wide(self.pose * properties.local_com);
+        self.mass_centre = (self.pose * properties.local_com).as_dvec3();
         self.mass = if is_massive { f64::from(properties.mass()) } else { 0.0 };
         self.weight = self.mass * f64::from(body.gravity_scale());
         self.inertia = turn * DMat3::from_cols_array(&axes) * turn.transpose();
-        self.pull = [wide(body.user_force()), wide(body.user_torque())];
+        self.pull = [body.user_force().as_dvec3(), body.user_torque().as_dvec3()];
         self.thrust = [DVec3::ZERO; 2];
     }
 
@@ -346,7 +345,10 @@ fn rates(plan: &LinkPlan, link: &LinkMotion, parent: Option<&LinkMotion>) -> [DV
         JointPlan::Hinge(hinge) | JointPlan::Ball(hinge) => hinge,
         // The velocities are those of the link's origin.
         JointPlan::Planar(_) | JointPlan::Free(_) | JointPlan::Floating(_) => {
-            return [around(spin, link.mass_centre - wide(link.pose.translation)), DVec3::ZERO];
+            return [
+                around(spin, link.mass_centre - link.pose.translation.as_dvec3()),
+                DVec3::ZERO,
+            ];
         }
     };
     let still = [DVec3::ZERO; 2];
@@ -363,7 +365,7 @@ fn rates(plan: &LinkPlan, link: &LinkMotion, parent: Option<&LinkMotion>) -> [DV
         let sliding = link.velocity[0] - moved;
         return [on_base(link.mass_centre) + 2.0 * base_spin.cross(sliding), turning];
     }
-    let anchor = wide(link.pose * hinge.anchor);
+    let anchor = (link.pose * hinge.anchor).as_dvec3();
     let arm = link.mass_centre - anchor;
     [on_base(anchor) + turning.cross(arm) + around(spin, arm), turning]
 }

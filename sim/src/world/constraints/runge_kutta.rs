@@ -56,8 +56,8 @@ impl Constraints {
             if !is_finite {
                 break;
             }
-            let multibody = physics.multibody_joints.get_multibody_mut(layout.multibody);
-            drives.apply_stage(multibody.expect("the template holds the robot"), &layout.hinges);
+            let multibody = layout.robot_in_mut(&mut physics.multibody_joints);
+            drives.apply_stage(multibody, &layout.hinges);
             is_finite = self.accelerate(robot, drives, physics);
         }
         speeds.clone_from(&start.speeds);
