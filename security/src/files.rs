@@ -1,5 +1,8 @@
 //! Reads and checks certificates, keys and authorities in PEM files.
 
+use std::fmt::Display;
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use rustls::crypto::{CryptoProvider, ring};
@@ -12,6 +15,8 @@ use webpki::{EndEntityCert, KeyUsage};
 
 use crate::error::SecurityError;
 
+/// More bytes than any chain of certificates or key has.
+const MOST_BYTES: u64 = 1 << 20;
 const CERTIFICATE: &str = "certificate";
 const PRIVATE_KEY: &str = "private key";
 
@@ -30,8 +35,19 @@ pub(crate) fn provider() -> CryptoProvider {
 }
 
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SecurityError> {
-    std::fs::read(path)
-        .map_err(|error| SecurityError(format!("cannot read {}: {error}", path.display())))
+    let unreadable =
+        |why: &dyn Display| SecurityError(format!("cannot read {}: {why}", path.display()));
+    // A pipe would wait for its writer.
+    if !std::fs::metadata(path).map_err(|error| unreadable(&error))?.is_file() {
+        return Err(unreadable(&"it is no plain file"));
+    }
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(|error| unreadable(&error))?;
+    file.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(|error| unreadable(&error))?;
+    if bytes.len() as u64 > MOST_BYTES {
+        return Err(unreadable(&format!("it has more than {MOST_BYTES} bytes")));
+    }
+    Ok(bytes)
 }
 
 /// The certificates in `pem`, which was read from `path`: at least one.
@@ -378,5 +394,7 @@ mod tests {
     fn a_missing_file_is_named() {
         let error = read(Path::new("no/such.pem")).unwrap_err().to_string();
         assert!(error.starts_with("cannot read no/such.pem: "), "{error}");
+        let error = read(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert_eq!(error, "cannot read /dev/zero: it is no plain file");
     }
 }

@@ -50,8 +50,8 @@ impl Token {
         if valid {
             return Ok(Self(digits.to_owned()));
         }
-        let form =
-            "a token has 64 hexadecimal digits; copy it from the file `token` of the run folder";
+        let form = "a token has 64 hexadecimal digits; copy it from the file `token` of the run folder, or make one for a learner with \
+             `openssl rand -hex 32`";
         Err(SecurityError(form.to_owned()))
     }
 

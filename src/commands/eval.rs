@@ -13,8 +13,8 @@ use crate::errors::Usage;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
-use crate::run::chosen::ChosenArguments;
-use crate::run::stored::{self, Trained};
+use crate::run::chosen::{ChosenArguments, ProgramArguments};
+use crate::run::stored::Trained;
 
 /// `s2mia eval`
 #[derive(Args, Debug)]
@@ -22,6 +22,9 @@ pub(crate) struct EvalArguments {
     /// Policies.
     #[command(flatten)]
     pub(crate) of: ChosenArguments,
+    /// Environment.
+    #[command(flatten)]
+    pub(crate) program: ProgramArguments,
     /// Number of whole episodes.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
@@ -39,7 +42,7 @@ pub(crate) struct EvalArguments {
 /// The first states are those that the run's own evaluation of this iteration would use.
 pub(super) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let run = arguments.of.path()?;
-    let trained = stored::trained(&run)?;
+    let trained = arguments.program.trained(&run)?;
     let mut hosted = trained.environment()?;
     let world = hosted.environment.as_mut();
     if arguments.disturbed && !world.can_be_disturbed() {

@@ -20,7 +20,7 @@ use crate::figures::chart;
 use crate::process::target::{Existing, ForceArguments};
 use crate::process::{output, target};
 use crate::progress::WorkProgress;
-use crate::run::chosen::ChosenArguments;
+use crate::run::chosen::{ChosenArguments, ProgramArguments};
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
 
@@ -30,6 +30,9 @@ pub(crate) struct ExportArguments {
     /// Policies.
     #[command(flatten)]
     pub(crate) of: ChosenArguments,
+    /// Environment.
+    #[command(flatten)]
+    pub(crate) program: ProgramArguments,
     /// Folder for agent_0.onnx, agent_1.onnx, ..., policy.safetensors and episode.safetensors.
     #[arg(long, value_name = "DIR")]
     pub(crate) onnx: PathBuf,
@@ -41,7 +44,7 @@ pub(crate) struct ExportArguments {
 /// Writes the files and prints what each contains.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let run = arguments.of.path()?;
-    let trained = stored::trained(&run)?;
+    let trained = arguments.program.trained(&run)?;
     let mut hosted = trained.environment()?;
     demand_no_checkpoint(&arguments.onnx)?;
     target::option_folder("--onnx", &arguments.onnx)?;
@@ -154,7 +157,12 @@ fn about_controls(world: &dyn EnvironmentBatch, agent: usize) -> [(String, Strin
 fn sizes(agent: &ActorPolicy) -> String {
     let (observation, hidden) = (agent.observation_size(), agent.hidden_size());
     let action = agent.action_size();
-    format!("observation {observation}, hidden {hidden} -> action {action}, next_hidden {hidden}")
+    match hidden {
+        0 => format!("observation {observation} -> action {action}"),
+        _ => format!(
+            "observation {observation}, hidden {hidden} -> action {action}, next_hidden {hidden}"
+        ),
+    }
 }
 
 /// Observations, hidden states and actions of every agent.

@@ -59,11 +59,10 @@ fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
         false if !remark.is_empty() => ("not set".to_owned(), "nothing"),
         false => ("not set".to_owned(), "nothing (a run has it only if it is given)"),
     };
-    // The policies that a place names are part of the hash, not the place.
-    let is_start = key == keys::START;
-    let matters =
-        is_start || keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
-    let effect = if matters {
+    let matters = keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
+    let effect = if key == keys::START {
+        "the policies are part of config_sha256, by their SHA-256, not their place"
+    } else if matters {
         "part of config_sha256: another value is another run"
     } else {
         "affects no result of the steps that are trained"

@@ -12,7 +12,7 @@ use crate::figures::chart;
 use crate::process::output;
 use crate::process::target::ForceArguments;
 use crate::progress::WorkProgress;
-use crate::run::chosen::ChosenArguments;
+use crate::run::chosen::{ChosenArguments, ProgramArguments};
 use crate::run::offered::RunEnvironment;
 use crate::run::stored::Trained;
 use crate::run::{run_path, stored};
@@ -23,6 +23,9 @@ pub(crate) struct RecordArguments {
     /// Policies.
     #[command(flatten)]
     pub(crate) of: ChosenArguments,
+    /// Environment.
+    #[command(flatten)]
+    pub(crate) program: ProgramArguments,
     /// Number of whole episodes to record, from episode 0 on.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) episodes: u32,
@@ -40,7 +43,7 @@ pub(crate) struct RecordArguments {
 /// Writes the file and prints its contents.
 pub(super) fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let of = arguments.of.path()?;
-    let trained = stored::trained(&of)?;
+    let trained = arguments.program.trained(&of)?;
     let out = ("--out", arguments.out.as_deref());
     let own = Path::new(LOGS).join(format!("iter_{:08}.mcap", trained.iteration));
     let target = run_path::target(&of, out, &own, arguments.force.existing())?;

@@ -175,8 +175,10 @@ impl Closing<'_> {
                 format!("--config {config} {dir} {twice}")
             }
         };
+        let drawn = self.folder.join("learning_curve.svg").exists();
+        let force = if drawn { " --force" } else { "" };
         format!(
-            "next:\n  s2mia page {run}\n  s2mia plot {run}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
+            "next:\n  s2mia page {run}\n  s2mia plot {run}{force}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"
         )
     }
 }
@@ -190,7 +192,7 @@ fn logged(logs: &Path) -> String {
         values.sum()
     };
     format!(
-        "logged {} in {} of episodes to {}; {} lost, {} not finished",
+        "logged {} in {} of episodes to {}; {} lost, {} not finished and not counted",
         chart::counted(sum("steps"), "step"),
         chart::counted(sum("shares"), "share"),
         logs.display(),

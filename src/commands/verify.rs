@@ -1,7 +1,7 @@
 //! `s2mia verify`: parts of a run are computed again and compared with what the run recorded.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::Args;
@@ -10,6 +10,7 @@ use proto::name::printable;
 use crate::figures::chart;
 use crate::process::output;
 use crate::progress::WorkProgress;
+use crate::run::chosen::ProgramArguments;
 use crate::run::recorded::Recorded;
 use crate::run::verification::{self, Part, Verifier};
 use crate::run::{BUILD, resume, run_path};
@@ -23,6 +24,9 @@ pub(crate) struct VerifyArguments {
     /// can be computed as a whole with its number of iterations.
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) iterations: u64,
+    /// Environment.
+    #[command(flatten)]
+    pub(crate) program: ProgramArguments,
 }
 
 /// Prints what is equal. The first difference, or what is missing or damaged, is an error.
@@ -30,14 +34,15 @@ pub(super) fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
     let run = &arguments.run;
     run_path::demand_records(run)?;
     // One status for every cause, also for settings and programs that are not those of the run.
-    let verified = verify(run, arguments.iterations).map_err(|why| {
+    let verified = verify(arguments).map_err(|why| {
         anyhow::anyhow!("{} is not verified: {}", run.display(), actor::causes(why.as_ref()))
     });
     verified.map(output::line)
 }
 
 /// The last line.
-fn verify(run: &Path, count: u64) -> anyhow::Result<String> {
+fn verify(arguments: &VerifyArguments) -> anyhow::Result<String> {
+    let VerifyArguments { run, iterations: count, program } = arguments;
     let recorded = Recorded::read(run)?;
     let fingerprint = rollout::rollout_fingerprint();
     resume::demand_same_program(run, fingerprint, recorded.config_sha256())?;
@@ -45,9 +50,9 @@ fn verify(run: &Path, count: u64) -> anyhow::Result<String> {
     recorded.demand_checkpoints()?;
     let parts = verification::parts(&recorded.checkpoints, recorded.last());
     output::line(opening(&recorded, &parts)?);
-    let chosen = verification::chosen(verification::shuffled(parts), count);
+    let chosen = verification::chosen(verification::shuffled(parts), *count);
     let total = chosen.iter().map(|part| part.length()).sum();
-    let verifier = Verifier::of(&recorded)?;
+    let verifier = Verifier::of(&recorded, program)?;
     let progress = Arc::new(WorkProgress::new());
     let (mut begun, mut iterations) = (0, 0);
     let mut evaluations = BTreeSet::new();

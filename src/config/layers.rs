@@ -6,10 +6,13 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
+use learner::store::run_folder::{CONFIG, RunFolder};
 use toml::{Table, Value};
 
 use super::keys;
-use super::known::{DEFAULTS, Values, first_inside, known, own_section, spelled, tip, wrong_kind};
+use super::known::{
+    DEFAULTS, Values, first_inside, known, names, own_section, spelled, tip, wrong_kind,
+};
 use super::own_task::OwnTask;
 use super::presets::{self, Preset};
 use super::resolved::{ConfigError, Resolved, line_and_message};
@@ -243,6 +246,12 @@ fn chosen(
         if kind == "task" && Path::new(name).is_dir() {
             return ConfigError::at(place, format!("`{name}` is a folder; name a task file in it"));
         }
+        let section = format!("{name}.");
+        if let Some(key) = names().find(|key| key.starts_with(&section)) {
+            let why =
+                format!("`{name}` is a section of settings, no {kind}; name a key such as {key}");
+            return ConfigError::at(place, why);
+        }
         let names: Vec<&str> = known.iter().map(|preset| preset.name).collect();
         let tip = tip(name, names.iter().copied());
         let known = names.join(", ");
@@ -258,7 +267,11 @@ fn preset_layer(preset: Preset) -> Result<SettingsLayer, ConfigError> {
 /// `s2mia config` prints them and as runs keep them, repeats what the program would choose.
 fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
     let (place, text) = read(path)?;
-    let layer = table_layer(&place, &text)?;
+    let mut layer = table_layer(&place, &text)?;
+    if is_of_run(path) {
+        // Another run with its settings has another folder.
+        layer.values.remove("run.dir");
+    }
     let mut semantic = DEFAULTS.keys().filter(|key| keys::is_semantic(key));
     let source = if presets::is_text_of_one(&text) {
         Source::Program
@@ -268,6 +281,12 @@ fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
         Source::User
     };
     Ok(SettingsLayer { source, ..layer })
+}
+
+/// Whether a file holds the settings of a run, in its folder.
+fn is_of_run(file: &Path) -> bool {
+    let whole = file.canonicalize().unwrap_or_default();
+    file.ends_with(CONFIG) && whole.parent().is_some_and(RunFolder::holds_run)
 }
 
 /// The name of a file for messages, and its text.

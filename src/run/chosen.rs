@@ -7,9 +7,13 @@ use learner::observe::metrics;
 use learner::store::checkpoint;
 use learner::store::run_folder::{METRICS, RunFolder};
 
+use crate::config::keys::URL;
+use crate::config::resolved::Resolved;
+use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::process::shell;
 use crate::run::recorded::all_lines;
+use crate::run::stored::{self, Trained};
 use crate::run::{pretrained, run_path};
 
 /// Trained policies.
@@ -20,6 +24,37 @@ pub(crate) struct ChosenArguments {
     /// Checkpoint: the last one, the one with the best evaluation, that of an iteration, or one by its folder [default: last].
     #[arg(long, value_name = "last | best | ITERATION | FOLDER")]
     pub(crate) checkpoint: Option<Which>,
+}
+
+/// Where the program listens that offers the environment of a run.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct ProgramArguments {
+    /// URL of the external program that offers the run's environment [default: the URL of the run].
+    #[arg(long, value_name = "URL")]
+    pub(crate) environment: Option<String>,
+}
+
+impl ProgramArguments {
+    /// Gives the settings of a run this URL; refuses it for a run in the simulator.
+    pub(crate) fn replace(&self, resolved: &mut Resolved) -> Result<(), Usage> {
+        let Some(url) = &self.environment else { return Ok(()) };
+        if resolved.text(URL).is_empty() {
+            let why = "--environment: no external program offers the environment of this run; leave it out";
+            return Err(Usage::new(why.to_owned()));
+        }
+        resolved.set(URL, url.as_str(), "--environment");
+        Ok(())
+    }
+
+    /// The policies of the run at `run`, whose environment is at this URL.
+    pub(crate) fn trained(&self, run: &Path) -> anyhow::Result<Trained> {
+        let mut trained = stored::trained(run)?;
+        if self.environment.is_some() {
+            self.replace(&mut trained.config.resolved)?;
+            trained.config = RunConfig::build(trained.config.resolved)?;
+        }
+        Ok(trained)
+    }
 }
 
 /// One of a run's checkpoints.

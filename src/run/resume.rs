@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use learner::store::run_folder::{MANIFEST, RunFolder};
+use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder};
 use proto::Digest;
 
 use crate::config::keys::{START, START_SHA256};
@@ -90,22 +90,36 @@ pub(crate) fn demand_same_program(
         return Ok(());
     };
     let recorded = |key: &str| manifest[key].as_str().unwrap_or("unknown").to_owned();
+    let folder = folder.display();
+    let build = format!("{}+{}", recorded("version"), recorded("git_commit"));
     for (key, own, differs) in [
         ("rollout_fingerprint", rollout, "computes other numbers"),
         ("config_sha256", config, "has other settings"),
     ] {
         let of_run = recorded(key);
         let own = own.to_string();
+        if of_run != own && key == "config_sha256" && build == BUILD {
+            return Err(Usage::new(format!(
+                "{folder}/{MANIFEST} is of other settings: its {key} is {of_run}, that of {folder}/{CONFIG} is {own}; restore \
+                 the file that is not of this run, or move {MANIFEST} away to have it written again"
+            ))
+            .into());
+        }
         if of_run != own {
             return Err(Usage::new(format!(
-                "{} was trained by a program that {differs}: its {key} is {of_run}, this \
+                "{folder} was trained by a program that {differs}: its {key} is {of_run}, this \
                  program's is {own}; use version {}, commit {} instead of {BUILD}",
-                folder.display(),
                 recorded("version"),
                 recorded("git_commit"),
             ))
             .into());
         }
+    }
+    if build != BUILD {
+        tracing::warn!(
+            "{folder} was begun by {build}, this program is {BUILD}: the fingerprints are equal, but they do not cover the \
+             update of the policies"
+        );
     }
     Ok(())
 }
@@ -199,19 +213,26 @@ mod tests {
 
     #[test]
     fn only_a_run_with_this_programs_fingerprint_and_settings_is_resumed() {
-        let resume = |rollout: u8, config: u8| {
+        let resume_of = |commit: &str, rollout: u8, config: u8| {
             let manifest = json!({
                 "rollout_fingerprint": Digest([rollout; 32]).to_string(),
                 "config_sha256": Digest([config; 32]).to_string(),
                 "version": "0.1.0",
-                "git_commit": "abc",
+                "git_commit": commit,
             });
             let folder = tempfile::tempdir().unwrap();
             RunFolder::claim_new(folder.path()).unwrap().begin("", &manifest).unwrap();
             let known = demand_same_program(folder.path(), Digest([1; 32]), Digest([4; 32]));
             known.map_err(|error| error.to_string())
         };
+        let resume = |rollout, config| resume_of("abc", rollout, config);
         assert_eq!(resume(1, 4), Ok(()));
+        let (_, own) = BUILD.split_once('+').unwrap();
+        let refusal = resume_of(own, 1, 3).unwrap_err();
+        let remedy = "or move manifest.json away to have it written again";
+        assert!(
+            refusal.contains("manifest.json is of other settings") && refusal.ends_with(remedy)
+        );
         for (other, named) in [
             (resume(3, 4), "computes other numbers: its rollout_fingerprint is 0303"),
             (resume(1, 3), "has other settings: its config_sha256 is 0303"),

@@ -77,7 +77,10 @@ pub(crate) fn policies(
             }
             return Ok(None);
         }
-        Some(run) => of_file(&run.join(START_POLICIES))?,
+        Some(run) => {
+            demand_kept(resolved, run)?;
+            of_file(&run.join(START_POLICIES))?
+        }
     };
     demand_digest(resolved, &bytes)?;
     Ok(Some(bytes))

@@ -23,6 +23,7 @@ use tokio::sync::watch;
 use crate::config::keys::SAMPLED;
 use crate::config::run_config::RunConfig;
 use crate::process::{self, output, runtime};
+use crate::run::chosen::ProgramArguments;
 use crate::run::recorded::Recorded;
 use crate::run::run_path::Others;
 use crate::run::verification::lines::same;
@@ -96,6 +97,7 @@ pub(crate) fn chosen(parts: Vec<Part>, count: u64) -> Vec<Part> {
 /// Computes parts of a run again.
 pub(crate) struct Verifier<'a> {
     recorded: &'a Recorded,
+    program: &'a ProgramArguments,
     runtime: Runtime,
     stop: (watch::Sender<bool>, watch::Receiver<bool>),
     scratch: Scratch,
@@ -111,7 +113,10 @@ struct PartEvaluations {
 
 impl<'a> Verifier<'a> {
     /// A verifier that a signal stops.
-    pub(crate) fn of(recorded: &'a Recorded) -> anyhow::Result<Self> {
+    pub(crate) fn of(
+        recorded: &'a Recorded,
+        program: &'a ProgramArguments,
+    ) -> anyhow::Result<Self> {
         let (runtime, stop, scratch) = (runtime()?, watch::channel(false), Scratch::make()?);
         let (stop_sender, folder) = (stop.0.clone(), scratch.0.clone());
         let announce = || output::error("stopping");
@@ -119,7 +124,7 @@ impl<'a> Verifier<'a> {
         runtime.block_on(async {
             process::stop_or_exit(stop_sender, Duration::ZERO, announce, clean_up)
         })?;
-        Ok(Self { recorded, runtime, stop, scratch })
+        Ok(Self { recorded, program, runtime, stop, scratch })
     }
 
     /// Computes a part; `reached` is called with each finished iteration. A resume may have changed whether evaluations sample
@@ -212,6 +217,7 @@ impl<'a> Verifier<'a> {
         resolved.set("run.dir", folder.display().to_string(), "verification");
         resolved.set(SAMPLED, sampled, "verification");
         start::take_kept(&mut resolved, &self.recorded.folder);
+        self.program.replace(&mut resolved)?;
         Ok(RunConfig::build(resolved)?)
     }
 

@@ -219,9 +219,12 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     assert!(line.contains("--environment"), "{line}");
     let moved = CueService::start(Faults::NONE);
     succeeded(&[&resume[..], &["--environment", &moved.url]].concat());
-    let told = succeeded(&["eval", path, "--episodes", "1", "--json"]);
-    assert!(told.contains("\"task\":\"cue-2x1\"") && told.contains("\"steps\":50"), "{told}");
+    let evaluated = succeeded(&["eval", path, "--episodes", "1", "--json"]);
+    let holds = |part: &str| evaluated.contains(part);
+    assert!(holds("\"task\":\"cue-2x1\"") && holds("\"steps\":50"), "{evaluated}");
     assert!(succeeded(&["record", path]).contains("50 steps"));
+    let elsewhere = CueService::start(Faults::NONE);
+    let there = ["--environment", elsewhere.url.as_str()];
     let told = |command: &str| error(&s2mia(&[command, path]));
     let line = told("film");
     assert!(line.contains("its description has no shapes") && line.lines().count() == 1, "{line}");
@@ -232,6 +235,9 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     drop(moved);
     let line = told("eval");
     assert!(line.contains("does not answer"), "{line}");
+    let again = succeeded(&[&["eval", path, "--episodes", "1", "--json"], &there[..]].concat());
+    assert_eq!(again, evaluated);
+    assert!(succeeded(&[&["verify", path][..], &there].concat()).contains("is verified"));
     let _other = CueService::start_at(&address, OTHER);
     let line = told("eval");
     assert!(line.contains("the run's environment is one with the description"), "{line}");

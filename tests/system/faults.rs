@@ -89,6 +89,21 @@ fn a_learner_without_free_file_descriptors_reports_it_once_and_continues() {
     ends_as_undisturbed(&folder);
 }
 
+#[test]
+fn a_run_whose_metrics_cannot_be_written_has_its_checkpoints() {
+    let runs = Runs::new();
+    let folder = runs.folder("run");
+    let mut learner = Learner::start(&folder, &[&ENDLESS[..], &["checkpoint.every=1"]].concat());
+    let actor = actor(&learner.url, &[]);
+    has_begun(&folder);
+    let lines = folder.join("metrics.jsonl");
+    std::fs::rename(&lines, folder.join("metrics.before")).unwrap();
+    std::fs::create_dir(&lines).unwrap();
+    learner.process.logs("the checkpoint is written without these lines", 2);
+    stopped(&mut learner, [actor]);
+    ends_as_undisturbed(&folder);
+}
+
 /// A learner over TLS and an actor at work. One of the two certificates, `expiring`, expires soon.
 struct Guarded {
     runs: Runs,

@@ -229,14 +229,20 @@ pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
     }
 }
 
-/// The newest whole checkpoint of a list that is made once; `None` if a learner has removed one since, so that the list
+/// The newest whole checkpoint of a list that is made once; an error if a newer program wrote a later one; `None` if a learner has removed one since, so that the list
 /// is outdated, and the one in `LATEST` is gone, too.
 fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
-    let mut skipped = Vec::new();
+    let mut skipped: Vec<(PathBuf, String)> = Vec::new();
     for iteration in iterations(folder)?.into_iter().rev() {
         let path = folder.join(name(iteration));
         match read(&path) {
             Ok((checkpoint, manifest)) => {
+                if let Some((newer, detail)) =
+                    skipped.iter().find(|(path, _)| Manifest::is_newer(path))
+                {
+                    let why = format!("{} cannot be used: {detail}", newer.display());
+                    return Err(CheckpointError::Other(why));
+                }
                 return Ok(Some(Loaded { checkpoint, manifest, path, skipped }));
             }
             // A learner may remove checkpoints faster than they are listed.

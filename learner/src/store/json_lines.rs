@@ -27,7 +27,7 @@ pub struct JsonLines {
 impl JsonLines {
     /// Opens the file and drops every line past `iteration`, also half a line that a crash left.
     /// Returns the lines that stay, too, and warns of iterations up to `iteration` that have none.
-    /// Damaged lines are moved to a file beside it.
+    /// Damaged lines are moved to a file beside it, as are all lines of a run that begins again, whose checkpoints may be elsewhere.
     ///
     /// # Errors
     /// Names the file if it cannot be read or written.
@@ -41,7 +41,7 @@ impl JsonLines {
         let whole = durable::whole_lines(&text);
         let mut kept = Vec::new();
         let mut content = Vec::new();
-        let mut damaged = Vec::new();
+        let (mut damaged, mut before) = (Vec::new(), Vec::new());
         for line in lines {
             match of_iteration(line) {
                 Some((found, value)) if found <= iteration => {
@@ -49,6 +49,7 @@ impl JsonLines {
                     content.push(b'\n');
                     kept.push(value);
                 }
+                Some(_) if iteration == 0 => before.push(line),
                 Some(_) => {}
                 None => damaged.push(line),
             }
@@ -57,17 +58,8 @@ impl JsonLines {
             damaged.pop();
         }
         let shown = path.display();
-        if !damaged.is_empty() {
-            let lines = damaged.iter().flat_map(|line| [line, b"\n".as_slice()]);
-            let kept = durable::keep_damaged(path, &lines.collect::<Vec<_>>().concat())?;
-            let kept = kept.display();
-            match damaged.len() {
-                1 => tracing::warn!("{shown} has 1 damaged line, which is moved to {kept}"),
-                count => {
-                    tracing::warn!("{shown} has {count} damaged lines, which are moved to {kept}")
-                }
-            }
-        }
+        move_away(path, &damaged, "damaged")?;
+        move_away(path, &before, "earlier")?;
         if content != text {
             durable::replace(path, &content)?;
         }
@@ -123,6 +115,21 @@ impl JsonLines {
         self.write_waiting()?;
         self.file.sync_data().map_err(FileError::of("flush", &self.path))
     }
+}
+
+/// Moves these lines of a file into one beside it, and warns of them as lines of this `kind`.
+fn move_away(path: &Path, lines: &[&[u8]], kind: &str) -> Result<(), FileError> {
+    if lines.is_empty() {
+        return Ok(());
+    }
+    let ended = lines.iter().flat_map(|line| [line, b"\n".as_slice()]);
+    let kept = durable::keep_damaged(path, &ended.collect::<Vec<_>>().concat())?;
+    let (shown, kept) = (path.display(), kept.display());
+    match lines.len() {
+        1 => tracing::warn!("{shown} has 1 {kind} line, which is moved to {kept}"),
+        count => tracing::warn!("{shown} has {count} {kind} lines, which are moved to {kept}"),
+    }
+    Ok(())
 }
 
 /// Reads a file of JSON objects that grows, and that a resume may cut back. Each whole line is read once.
@@ -318,6 +325,18 @@ mod tests {
     }
 
     #[cfg(target_os = "linux")]
+    #[test]
+    fn a_run_that_begins_again_keeps_the_lines_that_it_had() {
+        let (_folder, path) = metrics();
+        let text = "{\"iteration\":1}\n{\"iteration\":2}\n";
+        append(&path, text);
+        let (_lines, kept) = JsonLines::cut(&path, 0).unwrap();
+        assert!(kept.is_empty());
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "");
+        let moved = path.with_extension("jsonl.damaged");
+        assert_eq!(std::fs::read_to_string(moved).unwrap(), text);
+    }
+
     #[test]
     fn lines_that_a_full_disk_refuses_are_written_once_when_there_is_room() {
         let (_folder, path) = metrics();

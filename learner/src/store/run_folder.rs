@@ -74,6 +74,14 @@ pub enum RunFolderError {
 }
 
 impl RunFolderError {
+    /// Whether the file is gone or its content is damaged, so that it is written again.
+    fn is_of_lost_file(&self) -> bool {
+        match self {
+            Self::File(error) => error.source.kind() == ErrorKind::NotFound,
+            error => matches!(error, Self::Damaged { .. }),
+        }
+    }
+
     fn in_use(path: &Path) -> Self {
         let process = plain_file::read_to_string(&path.join(LOCK)).unwrap_or_default();
         // Without the lock file, the folder's own lock tells that it is in use, but not by whom.
@@ -139,6 +147,7 @@ impl RunFolder {
         durable::append_line(&self.file(STARTS), &start.to_string())?;
         match self.manifest() {
             Ok(_) => Ok(()),
+            Err(why) if !why.is_of_lost_file() => Err(why),
             Err(why) => {
                 if let Ok(damaged) = plain_file::read(&self.file(MANIFEST)) {
                     durable::keep_damaged(&self.file(MANIFEST), &damaged)?;
@@ -183,14 +192,24 @@ impl RunFolder {
     /// Where the learner that works on the folder at `path` listens; `None` if there is none.
     ///
     /// # Errors
-    /// Names a file that cannot be read.
+    /// Names a file that cannot be read, and a learner that does not listen yet.
     pub fn listening(path: &Path) -> Result<Option<String>, RunFolderError> {
         if !Self::is_locked(path)? {
             return Ok(None);
         }
         let place = path.join(ADDRESS);
-        let address = plain_file::read_to_string(&place).map_err(FileError::of("read", &place))?;
-        Ok(Some(address.trim().to_owned()))
+        match plain_file::read_to_string(&place) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                Err(RunFolderError::Other(format!(
+                    "the learner of {} is starting and does not listen yet; repeat the command in a moment",
+                    path.display()
+                )))
+            }
+            address => {
+                let address = address.map_err(FileError::of("read", &place))?;
+                Ok(Some(address.trim().to_owned()))
+            }
+        }
     }
 
     /// Refuses a folder that a learner uses. Claims nothing: it only reports early what a claim would report.
@@ -198,7 +217,6 @@ impl RunFolder {
     /// # Errors
     /// Names the folder and the learner's process, or a file that cannot be read.
     pub fn demand_free(path: &Path) -> Result<(), RunFolderError> {
-        place::demand_plain(path)?;
         if Self::is_locked(path)? {
             return Err(RunFolderError::in_use(path));
         }
@@ -252,12 +270,18 @@ impl RunFolder {
         lock.set_len(0)
             .and_then(|()| writeln!(lock, "{}", std::process::id()))
             .map_err(FileError::of("write", &place))?;
+        // Another program may listen by now where an earlier start did.
+        let address = path.join(ADDRESS);
+        if durable::exists(&address) {
+            durable::remove_file(&address)?;
+        }
         Ok(Self { path: path.to_path_buf(), locks: (lock, folder) })
     }
 
     fn check_manifest(&self, expected: &str) -> Result<(), RunFolderError> {
         let manifest = match self.manifest() {
             Ok(manifest) => manifest,
+            Err(why) if !why.is_of_lost_file() => return Err(why),
             Err(why) => {
                 // The checkpoint has the hash of its settings, too.
                 tracing::warn!(

@@ -13,7 +13,7 @@ use crate::lease::sample::random_number;
 use crate::observe::metrics::Metrics;
 use crate::store::checkpoint::{self, CheckpointError, Loaded};
 use crate::store::durable;
-use crate::store::run_folder::{RunFolder, RunFolderError, START_POLICIES, demand_config};
+use crate::store::run_folder::{RunFolder, RunFolderError, START_POLICIES};
 use crate::train::assemble::problem;
 use crate::train::environments::Environments;
 use crate::train::evaluation::Evaluations;
@@ -83,8 +83,14 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
             "the checkpoint of iteration {latest} is lost; the run continues from {path}"
         );
     }
-    let expected = launch.config_sha256.to_string();
-    demand_config(&loaded.path, &loaded.manifest.config_sha256, &expected)?;
+    let (found, expected) = (&loaded.manifest.config_sha256, launch.config_sha256.to_string());
+    if *found != expected {
+        return Err(LearnerError::Other(format!(
+            "{} is a checkpoint of another run: its config is {found}, this run's is {expected}; move it out of the folder, \
+             and the resume continues from an older one",
+            loaded.path.display()
+        )));
+    }
     Ok(Some(loaded))
 }
 

@@ -49,6 +49,29 @@ fn every_layer_wins_over_the_one_before_it() {
 }
 
 #[test]
+fn a_run_with_the_settings_file_of_another_run_has_its_own_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = |name: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, "[run]\ndir = \"runs/a\"\nseed = 3\n").unwrap();
+        let resolved = resolve(&Request { files: vec![path], ..Request::default() }).unwrap();
+        assert_eq!(resolved.text("run.seed"), "3");
+        resolved.text("run.dir").to_owned()
+    };
+    assert_eq!(dir("config.toml"), "runs/a");
+    std::fs::write(folder.path().join("manifest.json"), "{}").unwrap();
+    assert_eq!((dir("config.toml").as_str(), dir("mine.toml").as_str()), ("", "runs/a"));
+}
+
+#[test]
+fn a_section_in_the_place_of_a_task_is_named_as_one() {
+    let line = refusal(&["surprise"]);
+    let expected =
+        "command line: `surprise` is a section of settings, no task; name a key such as surprise.";
+    assert!(line.starts_with(expected), "{line}");
+}
+
+#[test]
 fn an_environment_from_outside_takes_the_settings_of_a_task_only_if_it_is_named() {
     let epochs = |settings: &[&str]| {
         let resolved = resolve(&request(settings)).unwrap();

@@ -39,6 +39,20 @@ fn a_folder_says_where_its_learner_listens_while_it_does() {
 }
 
 #[test]
+fn a_learner_that_starts_does_not_listen_where_an_earlier_one_did() {
+    let folder = tempdir().unwrap();
+    let run = begun(folder.path());
+    run.note_address("127.0.0.1:50051".parse().unwrap()).unwrap();
+    drop(run);
+    let run = resumed(folder.path()).unwrap();
+    let error = RunFolder::listening(folder.path()).unwrap_err().to_string();
+    assert!(error.ends_with("is starting and does not listen yet; repeat the command in a moment"));
+    run.note_address("127.0.0.1:50052".parse().unwrap()).unwrap();
+    let found = RunFolder::listening(folder.path()).unwrap();
+    assert_eq!(found.as_deref(), Some("127.0.0.1:50052"));
+}
+
+#[test]
 fn a_second_learner_on_one_folder_is_refused_in_one_line() {
     let folder = tempdir().unwrap();
     let path = folder.path();
@@ -117,6 +131,20 @@ fn a_flipped_bit_in_any_byte_of_a_manifest_but_a_blank_is_damage() {
         let error = manifest::read(&path).unwrap_err();
         assert!(matches!(error, RunFolderError::Damaged { .. }), "byte {at}: {error}");
     }
+}
+
+/// Only what is gone or damaged is written again.
+#[test]
+fn a_manifest_that_cannot_be_read_stays_as_it_is_and_the_run_is_not_resumed() {
+    let folder = tempdir().unwrap();
+    drop(begun(folder.path()));
+    let file = folder.path().join(MANIFEST);
+    fs::remove_file(&file).unwrap();
+    // As for a file without permission, the error is another one than that there is no file.
+    fs::create_dir(&file).unwrap();
+    let error = resumed(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("manifest.json"), "{error}");
+    assert!(file.is_dir());
 }
 
 #[test]

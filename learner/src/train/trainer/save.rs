@@ -27,7 +27,9 @@ impl RunningTrainer {
         if !due && trainer.failed_saves == 0 {
             return Ok(());
         }
-        let storage = match self.save_now() {
+        // Later attempts, and the last checkpoint, do not wait for lines that cannot be written.
+        let flushed = if trainer.failed_saves == 0 { self.trainer.flush() } else { Ok(()) };
+        let storage = match flushed.and_then(|()| self.save_now()) {
             Ok(_) => {
                 self.trainer.failed_saves = 0;
                 Storage::Sound
@@ -72,10 +74,17 @@ impl RunningTrainer {
 }
 
 impl Trainer {
-    /// Writes a checkpoint. Metrics and provenance are flushed first, because a resume relies on their lines.
-    fn save(&mut self) -> Result<Saved, LearnerError> {
+    /// Waits until the disk has all lines of metrics and provenance, on which a resume relies.
+    fn flush(&mut self) -> Result<(), LearnerError> {
         self.metrics.sync()?;
-        self.provenance.sync()?;
+        Ok(self.provenance.sync()?)
+    }
+
+    /// Writes a checkpoint, after the lines before it if the disk takes them: a resume warns of lines that are missing.
+    fn save(&mut self) -> Result<Saved, LearnerError> {
+        if let Err(error) = self.flush() {
+            tracing::error!("{error}; the checkpoint is written without these lines");
+        }
         let checkpoint = Checkpoint {
             iteration: self.iteration,
             env_steps: self.env_steps(),
