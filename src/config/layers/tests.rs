@@ -55,7 +55,7 @@ fn a_run_with_the_settings_file_of_another_run_has_its_own_folder() {
         let path = folder.path().join(name);
         std::fs::write(&path, "[run]\ndir = \"runs/a\"\nseed = 3\n").unwrap();
         let resolved = resolve(&Request { files: vec![path], ..Request::default() }).unwrap();
-        assert_eq!(resolved.text("run.seed"), "3");
+        assert_eq!(resolved.plain("run.seed"), "3");
         resolved.text("run.dir").to_owned()
     };
     assert_eq!(dir("config.toml"), "runs/a");
