@@ -271,6 +271,34 @@ def test_a_copy_of_a_trained_team_or_of_a_checkpoint_can_be_made_in_another_fold
         assert team.agents
 
 
+def test_a_copy_has_the_checkpoint_of_its_policies_after_the_run_has_grown(tmp_path):
+    run = tmp_path / "run"
+    few = ["run.iterations=1", "checkpoint.every=1", "evaluation.every_steps=1", "run.actors=1"]
+    s2mia_run("train", *SMALL, *few, f"run.dir={run}")
+    teams = [s2mia.load(run), s2mia.load(run, checkpoint="best")]
+    kept = pickle.dumps(teams)
+    s2mia_run("train", "--resume", run, "run.iterations=2")
+    assert s2mia.load(run).description.iteration == 2
+    for again in [*copy.deepcopy(teams), *pickle.loads(kept)]:
+        assert again.description == teams[0].description
+        assert copy.copy(again).description.iteration == 1
+
+
+def test_a_copy_is_refused_if_its_checkpoint_is_gone_or_has_other_policies(trained, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    kept = pickle.dumps(s2mia.load(run))
+    shutil.rmtree(run)
+    few = ["run.iterations=10", "checkpoint.every=5", "evaluation.every_steps=0", "run.actors=1"]
+    s2mia_run("train", *SMALL, *few, "run.seed=4", f"run.dir={run}")
+    sha256 = r"[0-9a-f]{64}"
+    with pytest.raises(s2mia.RunError, match=rf"^the policies of iteration 10 in \S+ have SHA-256 {sha256}, the copied ones {sha256}; "):
+        pickle.loads(kept)
+    shutil.rmtree(run / "checkpoints" / "iter_00000010")
+    with pytest.raises(s2mia.RunError, match="has no checkpoint of iteration 10, only of 5$"):
+        pickle.loads(kept)
+
+
 @pytest.mark.parametrize("seed", [-1, 2**64, 1.5, True, "1"])
 def test_a_seed_is_a_whole_number(trained, seed):
     with pytest.raises(ValueError, match="^seed is .*; it must be a whole number from 0 to 18446744073709551615$"):
