@@ -1,6 +1,6 @@
 """Trains a whole robot with CMA-ES of PyPI's package `cma`: one agent, a linear policy, no gradients.
 
-    pip install S2MIA.whl cma
+    pip install 'S2MIA.whl[environment]' cma
     python cma_es.py halfcheetah --generations 100 --steps 500
 
 Prints the best return of each generation, and at the end that of the best policy.

@@ -1,6 +1,6 @@
 """Trains a robot of s2mia with HAPPO of HARL (github.com/PKU-MARL/HARL), which knows nothing of this project.
 
-    pip install S2MIA.whl torch==2.8.0 tensorboardX setproctitle pyyaml absl-py
+    pip install 'S2MIA.whl[environment]' torch==2.8.0 tensorboardX setproctitle pyyaml absl-py
     python harl_happo.py CHECKOUT_OF_HARL halfcheetah-2x3 --steps 300000 --seed 1 --out results
 
 The settings are those that HARL's authors tuned for the robot of MuJoCo. Progress is in `progress.txt` in a folder of `--out`.

@@ -11,7 +11,7 @@ import sys
 from importlib import metadata
 
 import pytest
-from conftest import FEW, ROOT, SMALL, command
+from conftest import FEW, ROBOT, ROOT, SMALL, command, s2mia_run
 from hatchling.builders.wheel import WheelBuilder
 
 CLIENTS = ROOT / "clients" / "python"
@@ -136,6 +136,19 @@ def test_the_example_plays_a_trained_team(trained, tmp_path):
     likely, sampled = (float(paid) for paid in re.findall(r"choices: ([\d.]+) of 50", told))
     assert likely > 40 and likely > sampled > 50 / 9
     assert re.search(r"algorithm +happo-s2mia", told)
+
+
+def test_the_example_ends_with_one_line_without_a_run_of_the_game(tmp_path):
+    s2mia_run("train", *ROBOT, f"run.dir={tmp_path / 'robot'}")
+    (tmp_path / "empty").mkdir()
+    for arguments, message in [
+        ([], "usage: python play_a_trained_team.py FOLDER, with a run of cue-2x1 in it"),
+        (["empty"], "empty holds no run: no folder in it has a config.toml and a manifest.json"),
+        (["robot"], "robot has no run of cue-2x1; train one with `s2mia train cue-2x1 run.dir=runs/cue`"),
+    ]:
+        words = [sys.executable, CLIENTS / "examples" / "play_a_trained_team.py", *arguments]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stderr) == (1, f"{message}\n")
 
 
 def test_the_documented_examples_run(serve, tmp_path, monkeypatch, capsys):
