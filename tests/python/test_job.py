@@ -44,7 +44,9 @@ def test_the_image_contains_the_script_that_every_job_starts():
     assert "!deploy/job.sh" in (DEPLOY.parent / ".dockerignore").read_text().splitlines()
 
 
-def test_a_seed_that_is_killed_before_its_first_checkpoint_finishes_when_its_pod_is_replaced(tmp_path):
+@pytest.fixture
+def seed(tmp_path):
+    """The command of the fourth seed with small settings, its environment variables and its run folder."""
     job = next(one for one in documents(DEPLOY / "k8s" / "seeds.yaml") if one["kind"] == "Job")
     (script,) = job["spec"]["template"]["spec"]["containers"][0]["args"]
     (tmp_path / "s2mia-job").symlink_to(JOB)
@@ -53,9 +55,20 @@ def test_a_seed_that_is_killed_before_its_first_checkpoint_finishes_when_its_pod
     environment = path_with(tmp_path, "s2mia", f'{settings}\nexec {program()} "$@"')
     environment["JOB_COMPLETION_INDEX"] = "3"
     start = ["/bin/sh", "-c", script.replace("/runs/", f"{tmp_path}/").replace(" run.env_steps=10000000", "")]
+    return start, environment, tmp_path / "seed-3"
+
+
+def test_a_seed_that_is_killed_before_its_first_checkpoint_finishes_when_its_pod_is_replaced(seed):
+    start, environment, run = seed
     assert subprocess.run(start, env={**environment, "S2MIA_FAIL_AT": KILLED_AT}).returncode not in (0, 2)
-    run = tmp_path / "seed-3"
     assert (run / "manifest.json").exists() and not list(run.glob("checkpoints/*"))
     for _ in range(2):
         assert subprocess.run(start, env=environment).returncode == 0
     assert list(run.glob("checkpoints/*"))
+
+
+def test_a_seed_whose_manifest_is_lost_is_resumed(seed):
+    start, environment, run = seed
+    for _ in range(2):
+        assert subprocess.run(start, env=environment).returncode == 0
+        (run / "manifest.json").unlink()
