@@ -9,15 +9,24 @@ fn main() {
     if let Some(log) = log.ok().filter(|output| output.status.success()) {
         println!("cargo:rerun-if-changed={}", String::from_utf8_lossy(&log.stdout).trim());
     }
+    println!("cargo:rerun-if-env-changed=GIT_COMMIT");
+    // Names the commit where there is no repository, as in the build of an image.
+    let given = std::env::var("GIT_COMMIT").ok().filter(|commit| !commit.is_empty());
+    let commit = given.or_else(|| printed(Command::new("git").args(["rev-parse", "HEAD"])));
     let rustc = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
-    tell("S2MIA_GIT_COMMIT", Command::new("git").args(["rev-parse", "HEAD"]));
-    tell("S2MIA_RUSTC", Command::new(rustc).arg("--version"));
+    tell("S2MIA_GIT_COMMIT", commit);
+    tell("S2MIA_RUSTC", printed(Command::new(rustc).arg("--version")));
 }
 
-/// Passes the first line a command prints to the program; "unknown" where it cannot run or fails.
-fn tell(variable: &str, command: &mut Command) {
-    let output = command.output().ok().filter(|output| output.status.success());
-    let text = output.map_or_else(String::new, |o| String::from_utf8_lossy(&o.stdout).into_owned());
+/// Passes the first line of a text to the program; "unknown" without one.
+fn tell(variable: &str, text: Option<String>) {
+    let text = text.unwrap_or_default();
     let line = text.lines().next().unwrap_or("unknown");
     println!("cargo:rustc-env={variable}={line}");
+}
+
+/// What a command prints; `None` where it cannot run or fails.
+fn printed(command: &mut Command) -> Option<String> {
+    let output = command.output().ok().filter(|output| output.status.success())?;
+    Some(String::from_utf8_lossy(&output.stdout).into_owned())
 }
