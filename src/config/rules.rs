@@ -3,7 +3,7 @@
 
 use Condition::{Above0, Environment, Is, Not, Zero};
 use Property::{Continuous, Discrete};
-use marl::config::QTraining;
+use marl::config::{CriticCore, QTraining, Rule as RuleName};
 use policy::setting::{SettingError, multiple, within};
 
 use super::conditions::{
@@ -153,7 +153,7 @@ pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
 /// Refuses another learning rule with the settings that HASAC has alone.
 pub(super) fn demand_rule_of_settings(config: &RunConfig) -> Result<(), SettingError> {
     let training = &config.training;
-    if training.hasac.is_none() || training.update.rule == marl::config::Rule::Hasac {
+    if training.hasac.is_none() || training.update.rule == RuleName::Hasac {
         return Ok(());
     }
     let range = "hasac with the settings of hasac; use another algorithm";
@@ -171,40 +171,10 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     let hold = policy.noise_hold.unwrap_or(1) as usize;
     let range = format!("at most environments.steps = {}", environments.steps);
     within("policy.noise_hold", hold, ..=environments.steps, &range)?;
-    let is_hasac = training.update.rule == marl::config::Rule::Hasac;
-    if training.replay().is_none() {
-        let rows = environments.count * environments.steps;
-        let sequences = rows / window;
-        let critic = match training.critic.core {
-            marl::config::CriticCore::Mlp => ("steps", rows),
-            marl::config::CriticCore::Gru => ("sequences", sequences),
-        };
-        for (key, minibatches, (parts, most)) in [
-            ("update.minibatches", training.update.minibatches, ("sequences", sequences)),
-            ("critic.minibatches", training.critic.minibatches, critic),
-            ("influence.minibatches", influence.minibatches, ("steps", rows)),
-        ] {
-            // A preset's number may be larger than a small iteration; only the user's own must have an effect.
-            if config.resolved.is_given(key) {
-                let range = format!("at most {most}, the number of {parts} of an iteration");
-                within(key, minibatches, ..=most, &range)?;
-            }
-        }
-    }
-    if let Some(replay) = training.replay() {
-        let (key, batch) = if is_hasac {
-            ("hasac.replay", "hasac.batch")
-        } else {
-            ("maddpg.replay", "maddpg.batch")
-        };
-        let count = environments.count;
-        let range = format!("at least environments.count = {count}, one step of each");
-        within(key, replay.capacity, count.., &range)?;
-        let range = format!("at most {key} = {}", replay.capacity);
-        within(batch, replay.batch, ..=replay.capacity, &range)?;
-    } else if is_hasac {
-        let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
-        return Err(SettingError::new("update.rule", "hasac", others));
+    match training.update.rule {
+        RuleName::Happo | RuleName::Mappo => minibatches(config, window)?,
+        RuleName::Maddpg => replay(config, ["maddpg.replay", "maddpg.batch"])?,
+        RuleName::Hasac => replay(config, ["hasac.replay", "hasac.batch"])?,
     }
     if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
         let (floor, scale) = (influence.posterior_sigma_floor, policy.sigma_scale);
@@ -213,6 +183,42 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
         within("influence.posterior_sigma_floor", floor, ..f64::from(scale), &range)?;
     }
     Ok(())
+}
+
+/// Refuses more minibatches than an iteration has parts.
+fn minibatches(config: &RunConfig, window: usize) -> Result<(), SettingError> {
+    let (training, environments) = (&config.training, &config.learner.environments);
+    let rows = environments.count * environments.steps;
+    let sequences = rows / window;
+    let critic = match training.critic.core {
+        CriticCore::Mlp => ("steps", rows),
+        CriticCore::Gru => ("sequences", sequences),
+    };
+    for (key, minibatches, (parts, most)) in [
+        ("update.minibatches", training.update.minibatches, ("sequences", sequences)),
+        ("critic.minibatches", training.critic.minibatches, critic),
+        ("influence.minibatches", training.influence.minibatches, ("steps", rows)),
+    ] {
+        // A preset's number may be larger than a small iteration; only the user's own must have an effect.
+        if config.resolved.is_given(key) {
+            let range = format!("at most {most}, the number of {parts} of an iteration");
+            within(key, minibatches, ..=most, &range)?;
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a replay smaller than a step of all environments or than a batch.
+fn replay(config: &RunConfig, [capacity, batch]: [&'static str; 2]) -> Result<(), SettingError> {
+    let Some(replay) = config.training.replay() else {
+        let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
+        return Err(SettingError::new("update.rule", "hasac", others));
+    };
+    let count = config.learner.environments.count;
+    let range = format!("at least environments.count = {count}, one step of each");
+    within(capacity, replay.capacity, count.., &range)?;
+    let range = format!("at most {capacity} = {}", replay.capacity);
+    within(batch, replay.batch, ..=replay.capacity, &range)
 }
 
 #[cfg(test)]

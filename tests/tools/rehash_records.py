@@ -49,6 +49,8 @@ def resolved(program: str, arguments: list[str]) -> dict[str, str] | None:
 def recorded_sha256(found: dict[str, str], every_steps: str) -> str:
     """The hash that `s2mia experiment` records for a run: src/experiment/record.rs."""
     hasher = hashlib.sha256(bytes.fromhex(found["config_sha256"]))
+    if found["environment_service.url"] != '""':
+        hasher.update(b"external environment\n")
     hasher.update(f"evaluation.every_steps = {every_steps}\n".encode())
     hasher.update(f"evaluation.episodes = {found['evaluation.episodes']}\n".encode())
     if found["evaluation.sampled"] == "true":
@@ -107,10 +109,12 @@ def rewrite_teams(before: str, after: str) -> None:
     path = ROOT / "pretrained/teams.toml"
     text = path.read_text()
     for task, team in tomllib.loads(text).items():
-        settings = [task, f"run.seed={team['seed']}"]
+        settings = [task, f"algorithm={team['algorithm']}", f"run.seed={team['seed']}"]
         old, new = resolved(before, settings), resolved(after, settings)
-        if old and new:
+        if old and new and team["settings_sha256"] in (old["config_sha256"], new["config_sha256"]):
             text = text.replace(old["config_sha256"], new["config_sha256"])
+        else:
+            print(f"{path.name}: {task} has a hash of neither program")
     path.write_text(text)
 
 

@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use learner::error::LearnerError;
 use learner::launch::Launch;
 use learner::lease::exchange::Exchange;
-use learner::observe::event::{Event, Summary};
+use learner::observe::event::{Event, INCIDENTAL, Summary};
 use learner::store::checkpoint::load_newest;
 use learner::store::run_folder::RunFolderError;
 use learner::train::prepare::prepare;
@@ -67,19 +67,7 @@ fn lines(folder: &Path, name: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// Fields that differ between equal runs.
-const VARYING_FIELDS: [&str; 8] = [
-    "env_steps_per_sec",
-    "iteration_secs",
-    "rollout_secs",
-    "update_secs",
-    "density_secs",
-    "actors",
-    "messages_refused",
-    "leases_reissued",
-];
-
-/// The metrics without [`VARYING_FIELDS`].
+/// The metrics without [`INCIDENTAL`].
 fn reproducible(folder: &Path) -> Vec<Value> {
     let mut lines = lines(folder, "metrics.jsonl");
     for line in &mut lines {
@@ -87,8 +75,8 @@ fn reproducible(folder: &Path) -> Vec<Value> {
             continue;
         }
         let line = line.as_object_mut().unwrap();
-        for name in VARYING_FIELDS {
-            line.remove(name).unwrap();
+        for name in INCIDENTAL {
+            line.remove(name);
         }
     }
     // The position of an evaluation's line depends on timing.

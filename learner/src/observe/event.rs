@@ -130,6 +130,21 @@ impl IterationReport {
     }
 }
 
+/// Fields of the lines of an iteration that depend on time, connections and disks, or on how slots were cut and leased. All
+/// others are the same in equal runs.
+pub const INCIDENTAL: [&str; 10] = [
+    "slots",
+    "iteration_secs",
+    "rollout_secs",
+    "update_secs",
+    "density_secs",
+    "env_steps_per_sec",
+    "actors",
+    "messages_refused",
+    "leases_reissued",
+    "checkpoints_failed",
+];
+
 /// Statistics of the extrinsic returns of one evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {

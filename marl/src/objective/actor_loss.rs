@@ -36,7 +36,7 @@ pub struct Rows {
     /// Signal of every row, `[R, K]`; empty with independent noise.
     pub signal: Vec<f64>,
     /// Precision that the other agents' actions add to the signal's, `[K, K]`; `None` unless influence is exact.
-    pub others: Option<Vec<f64>>,
+    pub others_precision: Option<Vec<f64>>,
 }
 
 /// Metrics of a minibatch. All are means over its rows; those of its parts add up.
@@ -131,7 +131,7 @@ pub fn actor_loss(
         figures.gradient_without_influence = before.iter().copied().map(f64::abs).sum();
     }
     let share = p.count() as f64 * share;
-    if let Some(others) = &rows.others {
+    if let Some(others) = &rows.others_precision {
         let size = p.loading.len() / width;
         let (information, slopes) = exact_information(&p.loading, others, size);
         figures.influence += share * information;
@@ -304,8 +304,8 @@ mod tests {
         let signal = vec![0.5, -1.0, 0.2];
         let now = p.given(&signal).log_prob(&rows.action, &[0, 1, 2]).into_iter();
         let log_prob_old = now.zip([1.1, 1.5, 0.6]).map(|(now, ratio)| now - libm::log(ratio));
-        let (log_prob_old, others) = (log_prob_old.collect(), Some(vec![0.9]));
-        (p, Rows { log_prob_old, signal, others, posterior: None, ..rows })
+        let (log_prob_old, others_precision) = (log_prob_old.collect(), Some(vec![0.9]));
+        (p, Rows { log_prob_old, signal, others_precision, posterior: None, ..rows })
     }
 
     #[test]

@@ -4,7 +4,7 @@ use policy::randomness::{Draw, Purpose, RunSeed, generator};
 
 use crate::config::Sharing;
 use crate::error::MarlError;
-use crate::objective::surrogate::{factor_limits, sequential_factor};
+use crate::objective::surrogate::{factor_limits, mean_and_deviation, sequential_factor};
 use crate::optimisation::minibatch::permutation;
 use crate::rules::algorithm::Report;
 use crate::rules::on_policy::agent::Agent;
@@ -63,18 +63,16 @@ fn swap_optimiser(agents: &mut [Agent], index: usize) {
 
 /// The agent's position in the sweep, and statistics of its factor.
 fn sweep_report(index: usize, position: usize, factor: &[f64]) -> Report {
-    let count = factor.len() as f64;
-    let mean = factor.iter().sum::<f64>() / count;
-    let variance = factor.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
+    let (mean, deviation) = mean_and_deviation(factor);
     let (lowest, highest) = factor_limits();
     let held = factor.iter().filter(|&&x| x <= lowest || x >= highest).count();
     let named = [
         ("sweep_position", position as f64),
         ("factor_mean", mean),
-        ("factor_deviation", libm::sqrt(variance)),
+        ("factor_deviation", deviation),
         ("factor_smallest", factor.iter().fold(f64::INFINITY, |least, &x| least.min(x))),
         ("factor_largest", factor.iter().fold(f64::NEG_INFINITY, |most, &x| most.max(x))),
-        ("factor_held", held as f64 / count),
+        ("factor_held", held as f64 / factor.len() as f64),
     ];
     named.into_iter().map(|(name, value)| (format!("agent{index}/{name}"), value)).collect()
 }

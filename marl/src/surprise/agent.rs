@@ -1,9 +1,8 @@
 //! One agent's surprise: its density and the scores that are added to its reward.
 
-use libm::sqrt;
-
 use crate::density::{Density, DensityContext, Observations};
 use crate::error::MarlError;
+use crate::objective::surrogate::mean_and_deviation;
 use crate::state::{Visitor, visit_count, visit_number};
 use crate::surprise::entropy_bound;
 
@@ -97,12 +96,6 @@ impl AgentSurprise {
         let context = DensityContext { seed: RunSeed(0), iteration: 0, agent: 0, query: 0 };
         self.density.log_prob(Observations { data: rows, width: 1 }, context).unwrap()
     }
-}
-
-fn mean_and_deviation(numbers: &[f64]) -> (f64, f64) {
-    let count = numbers.len() as f64;
-    let mean = numbers.iter().sum::<f64>() / count;
-    (mean, sqrt(numbers.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count))
 }
 
 #[cfg(test)]

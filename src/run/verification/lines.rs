@@ -1,22 +1,9 @@
 //! Compares lines of a run's records with those that were computed again.
 
+use learner::observe::event::INCIDENTAL;
 use serde_json::Value;
 
 use crate::run::recorded::Lines;
-
-/// Fields that depend on time, connections and disks, or on how slots were cut and leased.
-const INCIDENTAL: [&str; 10] = [
-    "slots",
-    "iteration_secs",
-    "rollout_secs",
-    "update_secs",
-    "density_secs",
-    "env_steps_per_sec",
-    "actors",
-    "messages_refused",
-    "leases_reissued",
-    "checkpoints_failed",
-];
 
 /// Compares the lines of an iteration in a file, but for what is incidental.
 pub(super) fn same(

@@ -23,7 +23,6 @@ use crate::optimisation::shards::{self, shards};
 use crate::rules::on_policy::counted;
 use crate::rules::on_policy::experience::{Experience, Influence, mean};
 use crate::state::{Visitor, visit_parameters};
-use crate::surprise::entropy_bound;
 
 /// A network in training. It has a posterior or a second head if the influence term has a weight, there are other
 /// agents, and the estimator learns.
@@ -206,17 +205,16 @@ impl Agent {
             (None, Some(second)) => (second.conditional(&data)?, all, None, 0),
             (None, None) => return Ok(Influence::default()),
         };
-        let found = || -entropy_bound(&conditional.log_prob(action, &holdout));
+        let found = || mean(&conditional.log_prob(action, &holdout));
         let log_likelihood = fitted.unwrap_or_else(found);
         let log_p = experience.behaviour.log_prob(action, &holdout);
         let log_q = conditional.log_prob(action, &holdout);
         let mi_estimate = mutual_information(&log_q, &log_p);
-        let held_out = mi_estimate.map(|_| (entropy_bound(&log_q), entropy_bound(&log_p)));
+        let held_out = mi_estimate.map(|_| (-mean(&log_q), -mean(&log_p)));
         let divergence = mean(&conditional.kl_divergences(&experience.behaviour));
-        let (conditional, others) = (Some(conditional), None);
         Ok(Influence {
-            conditional,
-            others,
+            conditional: Some(conditional),
+            others_precision: None,
             log_likelihood,
             mi_estimate,
             held_out,

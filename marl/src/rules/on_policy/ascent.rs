@@ -165,7 +165,7 @@ fn shard(
         factor: layout.columns(factor, 1, columns),
         posterior: q.clone().or_else(inputs),
         signal: layout.columns(&sequences.signal, sequences.signal.len() / layout.rows(), columns),
-        others: influence.others.clone(),
+        others_precision: influence.others_precision.clone(),
     };
     let total = layout.steps * total;
     let (figures, gradient) = actor_loss(&p, &rows, total, &agent.coefficients);

@@ -45,7 +45,7 @@ impl Experience {
 pub(crate) struct Influence {
     pub(crate) conditional: Option<HeadRows>,
     /// Precision that the other agents' actions add to the signal's, `[K, K]`; only if influence is exact.
-    pub(crate) others: Option<Vec<f64>>,
+    pub(crate) others_precision: Option<Vec<f64>>,
     /// Mean log-likelihood on the training rows, nats.
     pub(super) log_likelihood: f64,
     /// Mean of `log q - log p` on held-out rows, Eq. (7) by counting over all rows, or the exact information, nats.
@@ -69,7 +69,7 @@ impl Influence {
         }
         let (information, _) =
             exact_information(&experience[agent].behaviour.loading, &others, size);
-        Self { others: Some(others), mi_estimate: Some(information), ..Self::default() }
+        Self { others_precision: Some(others), mi_estimate: Some(information), ..Self::default() }
     }
 
     pub(crate) fn report(&self, agent: usize) -> Report {
