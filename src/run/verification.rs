@@ -97,7 +97,7 @@ pub(crate) fn chosen(parts: Vec<Part>, count: u64) -> Vec<Part> {
 /// Computes parts of a run again.
 pub(crate) struct Verifier<'a> {
     recorded: &'a Recorded,
-    program: &'a ProgramArguments,
+    at: &'a ProgramArguments,
     runtime: Runtime,
     stop: (watch::Sender<bool>, watch::Receiver<bool>),
     scratch: Scratch,
@@ -112,11 +112,8 @@ struct PartEvaluations {
 }
 
 impl<'a> Verifier<'a> {
-    /// A verifier that a signal stops.
-    pub(crate) fn of(
-        recorded: &'a Recorded,
-        program: &'a ProgramArguments,
-    ) -> anyhow::Result<Self> {
+    /// A verifier that a signal stops; `at` is where the environment is.
+    pub(crate) fn of(recorded: &'a Recorded, at: &'a ProgramArguments) -> anyhow::Result<Self> {
         let (runtime, stop, scratch) = (runtime()?, watch::channel(false), Scratch::make()?);
         let (stop_sender, folder) = (stop.0.clone(), scratch.0.clone());
         let announce = || output::error("stopping");
@@ -124,7 +121,7 @@ impl<'a> Verifier<'a> {
         runtime.block_on(async {
             process::stop_or_exit(stop_sender, Duration::ZERO, announce, clean_up)
         })?;
-        Ok(Self { recorded, program, runtime, stop, scratch })
+        Ok(Self { recorded, at, runtime, stop, scratch })
     }
 
     /// Computes a part; `reached` is called with each finished iteration. A resume may have changed whether evaluations sample
@@ -217,7 +214,7 @@ impl<'a> Verifier<'a> {
         resolved.set("run.dir", folder.display().to_string(), "verification");
         resolved.set(SAMPLED, sampled, "verification");
         start::take_kept(&mut resolved, &self.recorded.folder);
-        self.program.replace(&mut resolved)?;
+        self.at.replace(&mut resolved)?;
         Ok(RunConfig::build(resolved)?)
     }
 

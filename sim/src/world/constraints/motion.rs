@@ -345,10 +345,8 @@ fn rates(plan: &LinkPlan, link: &LinkMotion, parent: Option<&LinkMotion>) -> [DV
         JointPlan::Hinge(hinge) | JointPlan::Ball(hinge) => hinge,
         // The velocities are those of the link's origin.
         JointPlan::Planar(_) | JointPlan::Free(_) | JointPlan::Floating(_) => {
-            return [
-                around(spin, link.mass_centre - link.pose.translation.as_dvec3()),
-                DVec3::ZERO,
-            ];
+            let arm = link.mass_centre - link.pose.translation.as_dvec3();
+            return [around(spin, arm), DVec3::ZERO];
         }
     };
     let still = [DVec3::ZERO; 2];
