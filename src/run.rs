@@ -101,6 +101,9 @@ pub(crate) fn prepare(
     let others = if resumed.force { Others::Accepted } else { Others::Refused };
     let prepared = prepare_config(config, resumed.resume.as_deref(), others, transport)?;
     let own = prepared.folder.join(CONFIG);
+    if prepared.launch.resume {
+        resume::warn_of_other_build(&prepared.folder);
+    }
     if prepared.launch.resume && own_settings(&prepared.folder).is_err() {
         // The learner writes the settings there again.
         if let Ok(damaged) = plain_file::read(&own) {

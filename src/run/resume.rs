@@ -5,6 +5,7 @@ use std::path::Path;
 
 use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder};
 use proto::Digest;
+use serde_json::Value;
 
 use crate::config::keys::{START, START_SHA256};
 use crate::config::message_steps::MESSAGE;
@@ -91,7 +92,7 @@ pub(crate) fn demand_same_program(
     };
     let recorded = |key: &str| manifest[key].as_str().unwrap_or("unknown").to_owned();
     let folder = folder.display();
-    let build = format!("{}+{}", recorded("version"), recorded("git_commit"));
+    let build = build_of(&manifest);
     for (key, own, differs) in [
         ("rollout_fingerprint", rollout, "computes other numbers"),
         ("config_sha256", config, "has other settings"),
@@ -115,13 +116,25 @@ pub(crate) fn demand_same_program(
             .into());
         }
     }
-    if build != BUILD {
+    Ok(())
+}
+
+/// Warns if another build began the run in `folder`.
+pub(crate) fn warn_of_other_build(folder: &Path) {
+    let build = RunFolder::recorded(folder).map(|manifest| build_of(&manifest));
+    if let Some(build) = build.filter(|build| build != BUILD) {
         tracing::warn!(
-            "{folder} was begun by {build}, this program is {BUILD}: the fingerprints are equal, but they do not cover the \
-             update of the policies"
+            "{} was begun by {build}, this program is {BUILD}: the fingerprints are equal, but they do not cover the update of \
+             the policies",
+            folder.display()
         );
     }
-    Ok(())
+}
+
+/// Version and commit in a run's manifest, as [`BUILD`] has them.
+fn build_of(manifest: &Value) -> String {
+    let recorded = |key: &str| manifest[key].as_str().unwrap_or("unknown");
+    format!("{}+{}", recorded("version"), recorded("git_commit"))
 }
 
 fn may_change() -> String {

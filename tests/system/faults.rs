@@ -90,17 +90,24 @@ fn a_learner_without_free_file_descriptors_reports_it_once_and_continues() {
 }
 
 #[test]
-fn a_run_whose_metrics_cannot_be_written_has_its_checkpoints() {
+fn a_run_whose_metrics_cannot_be_written_has_its_checkpoints_and_later_its_metrics() {
     let runs = Runs::new();
     let folder = runs.folder("run");
     let mut learner = Learner::start(&folder, &[&ENDLESS[..], &["checkpoint.every=1"]].concat());
     let actor = actor(&learner.url, &[]);
     has_begun(&folder);
     let lines = folder.join("metrics.jsonl");
-    std::fs::rename(&lines, folder.join("metrics.before")).unwrap();
+    let elsewhere = folder.join("metrics.before");
+    std::fs::rename(&lines, &elsewhere).unwrap();
     std::fs::create_dir(&lines).unwrap();
     learner.process.logs("the checkpoint is written without these lines", 2);
+    std::fs::remove_dir(&lines).unwrap();
+    std::fs::rename(&elsewhere, &lines).unwrap();
     stopped(&mut learner, [actor]);
+    assert_eq!(
+        Some(metrics(&folder, "iteration").len() as u64),
+        inspect(&folder)["iteration"].as_u64()
+    );
     ends_as_undisturbed(&folder);
 }
 

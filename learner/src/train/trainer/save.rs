@@ -76,6 +76,7 @@ impl RunningTrainer {
 impl Trainer {
     /// Waits until the disk has all lines of metrics and provenance, on which a resume relies.
     fn flush(&mut self) -> Result<(), LearnerError> {
+        self.folder.demand_in_place()?;
         self.metrics.sync()?;
         Ok(self.provenance.sync()?)
     }
