@@ -147,7 +147,7 @@ impl ProgressMonitor {
         self.last_report = now;
         let seconds = now.duration_since(self.last_steps).as_secs_f64();
         let reason = match actors {
-            0 => "no actor is connected".to_owned(),
+            0 => "no actor is connected; the logs of the actors may have the reason".to_owned(),
             1 => "the one actor has sent nothing".to_owned(),
             actors => format!("none of {actors} actors has sent anything"),
         };
@@ -176,7 +176,7 @@ mod tests {
         let reason = "none of 2 actors has sent anything".to_owned();
         assert_eq!(update(11, run(40, 2)).waiting, Some(Event::Waiting { seconds: 10.0, reason }));
         assert_eq!(update(20, run(40, 2)).waiting, None);
-        let reason = "no actor is connected".to_owned();
+        let reason = "no actor is connected; the logs of the actors may have the reason".to_owned();
         assert_eq!(update(21, run(40, 0)).waiting, Some(Event::Waiting { seconds: 20.0, reason }));
         assert!(update(22, run(80, 1)).new_steps);
     }
