@@ -47,7 +47,7 @@ impl Recorded {
     /// # Errors
     /// Names the first file that is missing, damaged or does not belong to the others, or the learner that works on the run.
     pub(crate) fn read(folder: &Path) -> anyhow::Result<Self> {
-        RunFolder::demand_free(folder)?;
+        RunFolder::demand_unused(folder)?;
         let manifest = RunFolder::recorded(folder).with_context(|| {
             let file = folder.join(MANIFEST);
             format!("{} is missing, or it has been changed since it was written", file.display())

@@ -229,8 +229,8 @@ pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
     }
 }
 
-/// The newest whole checkpoint of a list that is made once; an error if a newer program wrote a later one; `None` if a learner has removed one since, so that the list
-/// is outdated, and the one in `LATEST` is gone, too.
+/// The newest whole checkpoint of a list that is made once; `None` if a learner has removed one since, so that the list
+/// is outdated, and the one in `LATEST` is gone, too. An error if a newer program wrote a later one.
 fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
     let mut skipped: Vec<(PathBuf, String)> = Vec::new();
     for iteration in iterations(folder)?.into_iter().rev() {

@@ -27,7 +27,8 @@ pub struct JsonLines {
 impl JsonLines {
     /// Opens the file and drops every line past `iteration`, also half a line that a crash left.
     /// Returns the lines that stay, too, and warns of iterations up to `iteration` that have none.
-    /// Damaged lines are moved to a file beside it, as are all lines of a run that begins again, whose checkpoints may be elsewhere.
+    /// Damaged lines are moved to a file beside it, as are all lines of a run that begins again: its checkpoints may
+    /// be elsewhere.
     ///
     /// # Errors
     /// Names the file if it cannot be read or written.
@@ -324,7 +325,6 @@ mod tests {
         assert_eq!(std::fs::metadata(&path).unwrap().modified().unwrap(), before);
     }
 
-    #[cfg(target_os = "linux")]
     #[test]
     fn a_run_that_begins_again_keeps_the_lines_that_it_had() {
         let (_folder, path) = metrics();
@@ -337,6 +337,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(moved).unwrap(), text);
     }
 
+    #[cfg(target_os = "linux")]
     #[test]
     fn lines_that_a_full_disk_refuses_are_written_once_when_there_is_room() {
         let (_folder, path) = metrics();

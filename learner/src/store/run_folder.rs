@@ -217,6 +217,15 @@ impl RunFolder {
     /// # Errors
     /// Names the folder and the learner's process, or a file that cannot be read.
     pub fn demand_free(path: &Path) -> Result<(), RunFolderError> {
+        place::demand_plain(path)?;
+        Self::demand_unused(path)
+    }
+
+    /// Refuses a folder on which a learner works, to which nothing is written.
+    ///
+    /// # Errors
+    /// As [`Self::demand_free`].
+    pub fn demand_unused(path: &Path) -> Result<(), RunFolderError> {
         if Self::is_locked(path)? {
             return Err(RunFolderError::in_use(path));
         }
