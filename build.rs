@@ -11,8 +11,8 @@ fn main() {
     }
     println!("cargo:rerun-if-env-changed=GIT_COMMIT");
     // Names the commit where there is no repository, as in the build of an image.
-    let given = std::env::var("GIT_COMMIT").ok().filter(|commit| !commit.is_empty());
-    let commit = given.or_else(|| printed(Command::new("git").args(["rev-parse", "HEAD"])));
+    let given = || std::env::var("GIT_COMMIT").ok().filter(|commit| !commit.is_empty());
+    let commit = printed(Command::new("git").args(["rev-parse", "HEAD"])).or_else(given);
     let rustc = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
     tell("S2MIA_GIT_COMMIT", commit);
     tell("S2MIA_RUSTC", printed(Command::new(rustc).arg("--version")));

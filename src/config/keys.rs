@@ -146,11 +146,11 @@ pub(super) fn parsed(text: &str, default: &Value) -> Option<Value> {
     match (written(text), default) {
         (Some(quoted @ Value::String(_)), Value::String(_)) => Some(quoted),
         (_, Value::String(_)) => Some(Value::from(text)),
-        // Also numbers such as `.3`, which are none in TOML.
-        (written, _) => {
-            let number = || text.parse().ok().filter(|number: &f64| number.is_finite());
-            fitted(written.or_else(|| number().map(Value::Float))?, default)
+        // Such as `.3`, which is no number in TOML.
+        (None, Value::Float(_)) => {
+            text.parse().ok().filter(|number: &f64| number.is_finite()).map(Value::Float)
         }
+        (written, _) => fitted(written?, default),
     }
 }
 
@@ -262,6 +262,7 @@ mod tests {
     #[test]
     fn numbers_are_finite_and_a_value_cannot_smuggle_in_a_second_key() {
         assert_eq!(parsed(".3", &Float(0.0)), Some(Float(0.3)));
+        assert_eq!(parsed("007", &Integer(0)), None);
         assert_eq!(parsed("nan", &Float(0.0)), None);
         assert_eq!(parsed("inf", &Float(0.0)), None);
         assert_eq!(parsed("1\nother = 2", &Integer(0)), None);

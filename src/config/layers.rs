@@ -6,7 +6,6 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use learner::store::run_folder::{CONFIG, RunFolder};
 use toml::{Table, Value};
 
 use super::keys;
@@ -267,11 +266,7 @@ fn preset_layer(preset: Preset) -> Result<SettingsLayer, ConfigError> {
 /// `s2mia config` prints them and as runs keep them, repeats what the program would choose.
 fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
     let (place, text) = read(path)?;
-    let mut layer = table_layer(&place, &text)?;
-    if is_of_run(path) {
-        // Another run with its settings has another folder.
-        layer.values.remove("run.dir");
-    }
+    let layer = table_layer(&place, &text)?;
     let mut semantic = DEFAULTS.keys().filter(|key| keys::is_semantic(key));
     let source = if presets::is_text_of_one(&text) {
         Source::Program
@@ -281,12 +276,6 @@ fn given_file(path: &Path) -> Result<SettingsLayer, ConfigError> {
         Source::User
     };
     Ok(SettingsLayer { source, ..layer })
-}
-
-/// Whether a file holds the settings of a run, in its folder.
-fn is_of_run(file: &Path) -> bool {
-    let whole = file.canonicalize().unwrap_or_default();
-    file.ends_with(CONFIG) && whole.parent().is_some_and(RunFolder::holds_run)
 }
 
 /// The name of a file for messages, and its text.

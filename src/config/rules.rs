@@ -174,6 +174,11 @@ pub(super) fn numbers(config: &RunConfig) -> Result<(), SettingError> {
     match training.update.rule {
         RuleName::Happo | RuleName::Mappo => minibatches(config, window)?,
         RuleName::Maddpg => replay(config, ["maddpg.replay", "maddpg.batch"])?,
+        RuleName::Hasac if training.hasac.is_none() => {
+            let others =
+                "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
+            return Err(SettingError::new("update.rule", "hasac", others));
+        }
         RuleName::Hasac => replay(config, ["hasac.replay", "hasac.batch"])?,
     }
     if influence.q_training == QTraining::Shared && influence.lambda > 0.0 {
@@ -210,10 +215,7 @@ fn minibatches(config: &RunConfig, window: usize) -> Result<(), SettingError> {
 
 /// Refuses a replay smaller than a step of all environments or than a batch.
 fn replay(config: &RunConfig, [capacity, batch]: [&'static str; 2]) -> Result<(), SettingError> {
-    let Some(replay) = config.training.replay() else {
-        let others = "happo, mappo or maddpg without the settings of hasac; use algorithm = hasac";
-        return Err(SettingError::new("update.rule", "hasac", others));
-    };
+    let Some(replay) = config.training.replay() else { return Ok(()) };
     let count = config.learner.environments.count;
     let range = format!("at least environments.count = {count}, one step of each");
     within(capacity, replay.capacity, count.., &range)?;

@@ -99,10 +99,13 @@ pub(crate) fn demand_same_program(
     ] {
         let of_run = recorded(key);
         let own = own.to_string();
-        if of_run != own && key == "config_sha256" && build == BUILD {
+        // Builds without a repository are not distinguished.
+        let is_own_build = build == BUILD && !build.ends_with("+unknown");
+        if of_run != own && key == "config_sha256" && is_own_build {
             return Err(Usage::new(format!(
-                "{folder}/{MANIFEST} is of other settings: its {key} is {of_run}, that of {folder}/{CONFIG} is {own}; restore \
-                 the file that is not of this run, or move {MANIFEST} away to have it written again"
+                "{folder}/{MANIFEST} is of other settings: its {key} is {of_run}, that of {folder}/{CONFIG} is {own}; if \
+                 another build made the run, use that one; otherwise restore the file that is not of this run, or move {MANIFEST} \
+                 away to have it written again"
             ))
             .into());
         }
@@ -125,7 +128,7 @@ pub(crate) fn warn_of_other_build(folder: &Path) {
     if let Some(build) = build.filter(|build| build != BUILD) {
         tracing::warn!(
             "{} was begun by {build}, this program is {BUILD}: the fingerprints are equal, but they do not cover the update of \
-             the policies",
+             the policies; for the same weights, use that build",
             folder.display()
         );
     }

@@ -228,7 +228,7 @@ impl NewFolder {
         if RunFolder::holds_run(&path) {
             let run = shell::path(&path);
             let why = format!(
-                "{shown} already contains a run; resume it with `s2mia train --resume {run}`"
+                "{shown} already contains a run; resume it with `s2mia train --resume {run}`, or name another folder in run.dir"
             );
             return Err(Usage::new(why).into());
         }
@@ -307,7 +307,7 @@ fn utc(time: OffsetDateTime) -> String {
 
 fn newest(runs: &Path) -> Option<PathBuf> {
     folders(runs).max_by_key(|folder| {
-        let is_live = matches!(RunFolder::listening(folder), Ok(Some(_)));
+        let is_live = matches!(RunFolder::is_locked(folder), Ok(true));
         (is_live, started(folder), folder.clone())
     })
 }

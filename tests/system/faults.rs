@@ -98,11 +98,15 @@ fn a_run_whose_metrics_cannot_be_written_has_its_checkpoints_and_later_its_metri
     has_begun(&folder);
     let lines = folder.join("metrics.jsonl");
     let elsewhere = folder.join("metrics.before");
+    learner.process.signal("-STOP");
     std::fs::rename(&lines, &elsewhere).unwrap();
     std::fs::create_dir(&lines).unwrap();
+    learner.process.signal("-CONT");
     learner.process.logs("the checkpoint is written without these lines", 2);
+    learner.process.signal("-STOP");
     std::fs::remove_dir(&lines).unwrap();
     std::fs::rename(&elsewhere, &lines).unwrap();
+    learner.process.signal("-CONT");
     stopped(&mut learner, [actor]);
     assert_eq!(
         Some(metrics(&folder, "iteration").len() as u64),

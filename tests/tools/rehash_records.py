@@ -111,7 +111,9 @@ def rewrite_teams(before: str, after: str) -> None:
     for task, team in tomllib.loads(text).items():
         settings = [task, f"algorithm={team['algorithm']}", f"run.seed={team['seed']}"]
         old, new = resolved(before, settings), resolved(after, settings)
-        if old and new and team["settings_sha256"] in (old["config_sha256"], new["config_sha256"]):
+        if not old or not new:
+            print(f"{path.name}: {task} is refused by one of the programs")
+        elif team["settings_sha256"] in (old["config_sha256"], new["config_sha256"]):
             text = text.replace(old["config_sha256"], new["config_sha256"])
         else:
             print(f"{path.name}: {task} has a hash of neither program")

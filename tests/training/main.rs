@@ -29,6 +29,7 @@ use learner::train::trainer::Outside;
 use marl::LearningRateDecay;
 use marl::config::Estimator;
 use policy::Noise;
+use proto::Digest;
 use serde_json::Value;
 
 use actor::ActorThreads;
@@ -232,6 +233,31 @@ fn a_resume_with_fewer_iterations_is_rejected() {
     train(launch_in(folder.path(), 2), 1);
     let error = prepare(resumed(launch_in(folder.path(), 1))).map(drop).unwrap_err();
     assert!(error.to_string().contains("stands at iteration 2, past the 1"), "{error}");
+}
+
+#[test]
+fn a_run_whose_newest_checkpoint_is_of_a_newer_program_or_of_another_run_is_not_resumed() {
+    let [folder, other] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    train(launch_in(folder.path(), 1), 1);
+    train(resumed(launch_in(folder.path(), 2)), 1);
+    let refusal = || {
+        let resume = prepare(resumed(launch_in(folder.path(), 4)));
+        resume.map(drop).unwrap_err().to_string()
+    };
+    let newest = folder.path().join("checkpoints/iter_00000002");
+    let manifest = newest.join("manifest.json");
+    let own = std::fs::read_to_string(&manifest).unwrap();
+    std::fs::write(&manifest, own.replace("\"schema\": 2", "\"schema\": 3")).unwrap();
+    let error = refusal();
+    assert!(error.contains("iter_00000002: manifest.json has schema 3"), "{error}");
+    assert!(error.ends_with("use the newer program, or move the checkpoint out of the folder"));
+    let mut foreign = launch_in(other.path(), 2);
+    foreign.config_sha256 = Digest([9; 32]);
+    train(foreign, 1);
+    std::fs::remove_dir_all(&newest).unwrap();
+    std::fs::rename(other.path().join("checkpoints/iter_00000002"), &newest).unwrap();
+    let error = refusal();
+    assert!(error.contains("has other settings than this run: its config is 0909"), "{error}");
 }
 
 #[test]

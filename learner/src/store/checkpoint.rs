@@ -230,19 +230,13 @@ pub fn load_newest(run_folder: &Path) -> Result<Loaded, CheckpointError> {
 }
 
 /// The newest whole checkpoint of a list that is made once; `None` if a learner has removed one since, so that the list
-/// is outdated, and the one in `LATEST` is gone, too. An error if a newer program wrote a later one.
+/// is outdated, and the one in `LATEST` is gone, too.
 fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
-    let mut skipped: Vec<(PathBuf, String)> = Vec::new();
+    let mut skipped = Vec::new();
     for iteration in iterations(folder)?.into_iter().rev() {
         let path = folder.join(name(iteration));
         match read(&path) {
             Ok((checkpoint, manifest)) => {
-                if let Some((newer, detail)) =
-                    skipped.iter().find(|(path, _)| Manifest::is_newer(path))
-                {
-                    let why = format!("{} cannot be used: {detail}", newer.display());
-                    return Err(CheckpointError::Other(why));
-                }
                 return Ok(Some(Loaded { checkpoint, manifest, path, skipped }));
             }
             // A learner may remove checkpoints faster than they are listed.
@@ -259,6 +253,11 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
     } else {
         Err(CheckpointError::NoneUsable { folder, skipped })
     }
+}
+
+/// Whether a newer program wrote the checkpoint in this folder.
+pub(crate) fn is_of_newer_program(path: &Path) -> bool {
+    Manifest::is_newer(path)
 }
 
 /// The iteration of the newest checkpoint of a run, whole or not; `None` if there is none.

@@ -201,7 +201,7 @@ impl RunFolder {
         match plain_file::read_to_string(&place) {
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 Err(RunFolderError::Other(format!(
-                    "the learner of {} is starting and does not listen yet; repeat the command in a moment",
+                    "the learner of {} is starting and does not listen yet; repeat the command in a moment, or name its URL",
                     path.display()
                 )))
             }
@@ -221,7 +221,7 @@ impl RunFolder {
         Self::demand_unused(path)
     }
 
-    /// Refuses a folder on which a learner works, to which nothing is written.
+    /// Refuses a folder that a learner uses, for commands that only read it, which may hold links.
     ///
     /// # Errors
     /// As [`Self::demand_free`].
@@ -245,7 +245,11 @@ impl RunFolder {
         }
     }
 
-    fn is_locked(path: &Path) -> Result<bool, RunFolderError> {
+    /// Whether a learner works on the folder at `path`.
+    ///
+    /// # Errors
+    /// Names a file that cannot be read.
+    pub fn is_locked(path: &Path) -> Result<bool, RunFolderError> {
         if File::open(path)
             .is_ok_and(|folder| matches!(folder.try_lock_shared(), Err(TryLockError::WouldBlock)))
         {

@@ -71,6 +71,11 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
         }
         loaded => loaded?,
     };
+    let newer = loaded.skipped.iter().find(|(path, _)| checkpoint::is_of_newer_program(path));
+    if let Some((path, reason)) = newer {
+        let why = "use the newer program, or move the checkpoint out of the folder";
+        return Err(LearnerError::Other(format!("{}: {reason}; {why}", path.display())));
+    }
     for (path, reason) in &loaded.skipped {
         tracing::error!("{} is damaged and skipped: {reason}", path.display());
     }
@@ -86,8 +91,9 @@ fn newest(launch: &Launch, folder: &RunFolder) -> Result<Option<Loaded>, Learner
     let (found, expected) = (&loaded.manifest.config_sha256, launch.config_sha256.to_string());
     if *found != expected {
         return Err(LearnerError::Other(format!(
-            "{} is a checkpoint of another run: its config is {found}, this run's is {expected}; move it out of the folder, \
-             and the resume continues from an older one",
+            "{} has other settings than this run: its config is {found}, this run's is {expected}; if another version of the \
+             program made it, resume with that version; if it is another run's, move it out of the folder, and the resume \
+             continues from an older one, or begins again without any",
             loaded.path.display()
         )));
     }

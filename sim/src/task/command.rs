@@ -104,7 +104,7 @@ impl Follower {
         let turns = components.iter().find(|(heading, _)| *heading != Heading::Forward);
         if let (Self::Planar(_), Some((heading, _))) = (&follower, turns) {
             let why = "needs a robot with a free joint; this one moves in a plane";
-            return Err(refused(format!("command.{} {why}", heading)));
+            return Err(refused(format!("command.{heading} {why}")));
         }
         Ok(body.map_or(follower, |body| Self::Body(robot.place(body))))
     }
@@ -124,7 +124,7 @@ impl CommandRanges {
         }
         for (heading, range) in &components {
             let bounds = [-FASTEST_COMMAND, FASTEST_COMMAND];
-            ascending(&format!("command.{}", heading), *range, bounds)?;
+            ascending(&format!("command.{heading}"), *range, bounds)?;
         }
         let follower = Follower::new("command", row.of.as_deref(), robot, &components)?;
         Ok(Self { components, follower })
@@ -160,7 +160,7 @@ impl CommandRanges {
     /// Features of the target.
     pub(crate) fn features(&self) -> Vec<FeatureSpec> {
         let feature = |heading: Heading| FeatureSpec {
-            name: format!("command.{}", heading),
+            name: format!("command.{heading}"),
             role: FeatureRole::Signal,
         };
         self.headings().map(feature).collect()
@@ -170,7 +170,7 @@ impl CommandRanges {
     pub(crate) fn lines(&self) -> Vec<String> {
         let line = |(heading, [low, high]): &(Heading, [f32; 2])| {
             let unit = if *heading == Heading::Yaw { "rad/s" } else { "m/s" };
-            format!("command {}: {low} to {high} {unit}, in each episode", heading)
+            format!("command {heading}: {low} to {high} {unit}, in each episode")
         };
         self.components.iter().map(line).collect()
     }

@@ -229,10 +229,10 @@ fn measured_features(shown: &[usize], relations: &Relations, robot: &Robot) -> V
 pub(super) fn term_names(file: &TaskFile) -> Vec<String> {
     let rows: Vec<&TermRow> = file.reward.iter().chain(&file.cost).collect();
     let name = |(index, row): (usize, &&TermRow)| {
-        let word = row.term;
+        let term = row.term;
         match rows[..index].iter().filter(|before| before.term == row.term).count() {
-            0 => word.to_string(),
-            before => format!("{word}_{}", before + 1),
+            0 => term.to_string(),
+            before => format!("{term}_{}", before + 1),
         }
     };
     rows.iter().enumerate().map(name).collect()

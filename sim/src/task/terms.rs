@@ -330,7 +330,7 @@ fn followed(
     }
     check_repeats(&format!("{place}.components"), &followed)?;
     let resolve = |heading: Heading| {
-        let why = || refused(format!("{place}: [command] has no range `{}`", heading));
+        let why = || refused(format!("{place}: [command] has no range `{heading}`"));
         Ok((command.index(heading).ok_or_else(why)?, heading))
     };
     followed.into_iter().map(resolve).collect()

@@ -49,21 +49,6 @@ fn every_layer_wins_over_the_one_before_it() {
 }
 
 #[test]
-fn a_run_with_the_settings_file_of_another_run_has_its_own_folder() {
-    let folder = tempfile::tempdir().unwrap();
-    let dir = |name: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, "[run]\ndir = \"runs/a\"\nseed = 3\n").unwrap();
-        let resolved = resolve(&Request { files: vec![path], ..Request::default() }).unwrap();
-        assert_eq!(resolved.plain("run.seed"), "3");
-        resolved.text("run.dir").to_owned()
-    };
-    assert_eq!(dir("config.toml"), "runs/a");
-    std::fs::write(folder.path().join("manifest.json"), "{}").unwrap();
-    assert_eq!((dir("config.toml").as_str(), dir("mine.toml").as_str()), ("", "runs/a"));
-}
-
-#[test]
 fn a_section_in_the_place_of_a_task_is_named_as_one() {
     let line = refusal(&["surprise"]);
     let expected =

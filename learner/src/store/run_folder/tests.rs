@@ -46,7 +46,9 @@ fn a_learner_that_starts_does_not_listen_where_an_earlier_one_did() {
     drop(run);
     let run = resumed(folder.path()).unwrap();
     let error = RunFolder::listening(folder.path()).unwrap_err().to_string();
-    assert!(error.ends_with("is starting and does not listen yet; repeat the command in a moment"));
+    assert!(error.ends_with(
+        "is starting and does not listen yet; repeat the command in a moment, or name its URL"
+    ));
     run.note_address("127.0.0.1:50052".parse().unwrap()).unwrap();
     let found = RunFolder::listening(folder.path()).unwrap();
     assert_eq!(found.as_deref(), Some("127.0.0.1:50052"));

@@ -28,12 +28,16 @@ impl RunningTrainer {
             return Ok(());
         }
         // Later attempts, and the last checkpoint, do not wait for lines that cannot be written.
-        let flushed = if trainer.failed_saves == 0 { self.trainer.flush() } else { Ok(()) };
+        let is_first = trainer.failed_saves == 0;
+        let flushed = self.trainer.flush();
+        let is_flushed = flushed.is_ok();
+        let flushed = if is_first { flushed } else { Ok(()) };
         let storage = match flushed.and_then(|()| self.save_now()) {
-            Ok(_) => {
+            Ok(_) if is_flushed => {
                 self.trainer.failed_saves = 0;
                 Storage::Sound
             }
+            Ok(_) => Storage::Degraded,
             Err(error) => {
                 self.trainer.folder.demand_in_place()?;
                 self.trainer.failed_saves += 1;

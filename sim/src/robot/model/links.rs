@@ -37,8 +37,8 @@ pub(super) struct Links<'a> {
     bodies: Vec<Option<&'a Body>>,
     /// The link of each body, and the body's frame in it.
     pub(super) homes: Vec<Home>,
-    /// Mass centre of each body in its link. That of a body without a mass is, as in MuJoCo, its position in its parent,
-    /// taken as one in itself.
+    /// Mass centre of each body in its link. Of a body without a mass, MuJoCo takes the body's position in its parent as a
+    /// point in the body's own frame; so does this.
     pub(super) mass_centres: Vec<Vector>,
 }
 

@@ -340,8 +340,8 @@ fn a_site_whose_two_points_do_not_decide_its_place_is_refused() {
     }
 }
 
-/// MuJoCo takes the place of a body without a mass in its parent as its mass centre in itself, on which the softness of its
-/// connections depends. After 0.2 s.
+/// MuJoCo takes the position of a body without a mass in its parent as its mass centre, in the body's own frame. The softness
+/// of its connections depends on that point. After 0.2 s.
 #[test]
 fn a_connection_of_a_body_without_a_mass_is_as_soft_as_in_mujoco() {
     for (place, equality, expected) in [
