@@ -173,7 +173,7 @@ impl LearnerService for Withholding {
     }
 }
 
-/// The leases that an actor with this learner finishes, in order.
+/// The leases that an actor with this learner finishes, ascending: two that end at the same time may be acknowledged in any order.
 async fn finished_leases(learner: Withholding) -> Vec<u64> {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
@@ -194,7 +194,9 @@ async fn finished_leases(learner: Withholding) -> Vec<u64> {
     let (_stop, never) = watch::channel(false);
     let run = tokio::time::timeout(Duration::from_secs(60), actor::run(config, never));
     run.await.expect("the actor waits for an acknowledgement that the learner withholds").unwrap();
-    learner.finished.borrow().clone()
+    let mut finished = learner.finished.borrow().clone();
+    finished.sort_unstable();
+    finished
 }
 
 #[tokio::test]
