@@ -311,7 +311,7 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("tuning-million.toml", "16 runs, 16,000,000 steps", 16),
         ("tuning-local.toml", "16 runs, 4,800,000 steps", 16),
         ("tuning-terms.toml", "90 runs, 27,000,000 steps", 90),
-        ("worlds.toml", "33 runs, 33,000,000 steps", runs_in("docs/study-worlds.csv")),
+        ("worlds.toml", "38 runs, 38,000,000 steps", runs_in("docs/study-worlds.csv")),
         ("signal.toml", "90 runs, 18,000,000 steps", 90),
     ] {
         let told = succeeded(&["experiment", text(&folder.join(name)), "--list"]);
