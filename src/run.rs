@@ -103,10 +103,10 @@ pub(crate) fn prepare(
     let own = prepared.folder.join(CONFIG);
     if prepared.launch.resume {
         resume::warn_of_other_build(&prepared.folder);
-    }
-    if prepared.launch.resume && own_settings(&prepared.folder).is_err() {
-        // The learner writes the settings there again.
-        if let Ok(damaged) = plain_file::read(&own) {
+        // The learner writes damaged settings again.
+        if own_settings(&prepared.folder).is_err()
+            && let Ok(damaged) = plain_file::read(&own)
+        {
             durable::keep_damaged(&own, &damaged)?;
         }
     }

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use crate::config::keys::START;
 use crate::config::run_config::RunConfig;
 use crate::endpoints::PageArguments;
-use crate::figures::{chart, learning_curve};
+use crate::figures::{LEARNING_CURVE, chart, learning_curve};
 use crate::process::{self, output, runtime, shell};
 use crate::progress::Progress;
 use crate::run::{
@@ -175,7 +175,7 @@ impl Closing<'_> {
                 format!("--config {config} {dir} {twice}")
             }
         };
-        let drawn = self.folder.join("learning_curve.svg").exists();
+        let drawn = self.folder.join(format!("{LEARNING_CURVE}.svg")).exists();
         let force = if drawn { " --force" } else { "" };
         format!(
             "next:\n  s2mia page {run}\n  s2mia plot {run}{force}\n  s2mia eval {run}\n  s2mia record {run}\n  s2mia train {train}"

@@ -77,10 +77,7 @@ pub(crate) fn policies(
             }
             return Ok(None);
         }
-        Some(run) => {
-            demand_kept(resolved, run)?;
-            of_file(&run.join(START_POLICIES))?
-        }
+        Some(run) => return kept(resolved, run).map(Some),
     };
     demand_digest(resolved, &bytes)?;
     Ok(Some(bytes))
@@ -91,16 +88,22 @@ pub(crate) fn demand_kept(resolved: &Resolved, folder: &Path) -> anyhow::Result<
     if resolved.text(START_SHA256).is_empty() {
         return Ok(());
     }
+    kept(resolved, folder).map(drop)
+}
+
+/// The policies from which the run in `folder` started, as it keeps them.
+fn kept(resolved: &Resolved, folder: &Path) -> anyhow::Result<Vec<u8>> {
     let (file, expected) = (folder.join(START_POLICIES), resolved.text(START_SHA256));
     let remedy = || format!("restore it from the run that {START} names, or from a pack");
-    let found = Digest::of(&of_file(&file).with_context(remedy)?).to_string();
+    let bytes = of_file(&file).with_context(remedy)?;
+    let found = Digest::of(&bytes).to_string();
     let place = file.display();
     ensure!(
         found == expected,
         "{place} has the SHA-256 {found}, the settings have {expected}; {}",
         remedy()
     );
-    Ok(())
+    Ok(bytes)
 }
 
 /// Why a run cannot start from the policies of the run `trained`, if it cannot. Sizes are compared when training begins.

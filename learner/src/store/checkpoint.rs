@@ -257,7 +257,9 @@ fn newest_listed(folder: &Path) -> Result<Option<Loaded>, CheckpointError> {
 
 /// Whether a newer program wrote the checkpoint in this folder.
 pub(crate) fn is_of_newer_program(path: &Path) -> bool {
-    Manifest::is_newer(path)
+    let bytes = plain_file::read(&path.join(MANIFEST)).unwrap_or_default();
+    let manifest: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
+    manifest["schema"].as_u64().is_some_and(|schema| schema > u64::from(manifest::SCHEMA))
 }
 
 /// The iteration of the newest checkpoint of a run, whole or not; `None` if there is none.

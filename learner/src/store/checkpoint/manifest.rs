@@ -1,14 +1,12 @@
 //! A checkpoint's manifest: what the checkpoint is, and every file with its size and hash.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use policy::arrays::hex;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use super::{Checkpoint, MANIFEST, Saved};
-use crate::store::plain_file;
+use super::{Checkpoint, Saved};
 
 /// Layout of checkpoints that this program writes and reads.
 pub const SCHEMA: u32 = 2;
@@ -97,13 +95,6 @@ impl Manifest {
             Some(name) => Err(format!("manifest.json names the file {name:?}")),
             None => Ok(manifest),
         }
-    }
-
-    /// Whether a newer program wrote the checkpoint in this folder.
-    pub(super) fn is_newer(folder: &Path) -> bool {
-        let bytes = plain_file::read(&folder.join(MANIFEST)).unwrap_or_default();
-        let value: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
-        value["schema"].as_u64().is_some_and(|schema| schema > u64::from(SCHEMA))
     }
 
     /// Compares the hashes of the content with the recorded ones.

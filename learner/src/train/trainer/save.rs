@@ -27,17 +27,8 @@ impl RunningTrainer {
         if !due && trainer.failed_saves == 0 {
             return Ok(());
         }
-        // Later attempts, and the last checkpoint, do not wait for lines that cannot be written.
-        let is_first = trainer.failed_saves == 0;
-        let flushed = self.trainer.flush();
-        let is_flushed = flushed.is_ok();
-        let flushed = if is_first { flushed } else { Ok(()) };
-        let storage = match flushed.and_then(|()| self.save_now()) {
-            Ok(_) if is_flushed => {
-                self.trainer.failed_saves = 0;
-                Storage::Sound
-            }
-            Ok(_) => Storage::Degraded,
+        match self.save_now() {
+            Ok(_) => self.trainer.failed_saves = 0,
             Err(error) => {
                 self.trainer.folder.demand_in_place()?;
                 self.trainer.failed_saves += 1;
@@ -49,10 +40,9 @@ impl RunningTrainer {
                 };
                 tracing::error!(failures, "checkpoint failed: {error}; {then}");
                 self.tell(&Event::CheckpointFailed { failures });
-                Storage::Degraded
+                self.outside.exchange.report_storage(Storage::Degraded);
             }
-        };
-        self.outside.exchange.report_storage(storage);
+        }
         Ok(())
     }
 
@@ -66,7 +56,9 @@ impl RunningTrainer {
         }
         self.enter(Stage::Save);
         let begin = Instant::now();
+        let storage = self.trainer.flush();
         let saved = self.trainer.save()?;
+        self.outside.exchange.report_storage(storage);
         self.trainer.saved = Some(saved.clone());
         self.tell(&Event::Checkpoint(WrittenCheckpoint {
             iteration,
@@ -78,18 +70,21 @@ impl RunningTrainer {
 }
 
 impl Trainer {
-    /// Waits until the disk has all lines of metrics and provenance, on which a resume relies.
-    fn flush(&mut self) -> Result<(), LearnerError> {
-        self.folder.demand_in_place()?;
-        self.metrics.sync()?;
-        Ok(self.provenance.sync()?)
+    /// Waits until the disk has all lines of metrics and provenance. A checkpoint is worth more than lines that cannot be
+    /// written, of which a resume warns.
+    fn flush(&mut self) -> Storage {
+        let mut storage = Storage::Sound;
+        for flushed in [self.metrics.sync(), self.provenance.sync()] {
+            if let Err(error) = flushed {
+                tracing::error!("{error}; the checkpoint is written without these lines");
+                storage = Storage::Degraded;
+            }
+        }
+        storage
     }
 
-    /// Writes a checkpoint, after the lines before it if the disk takes them: a resume warns of lines that are missing.
+    /// Writes a checkpoint.
     fn save(&mut self) -> Result<Saved, LearnerError> {
-        if let Err(error) = self.flush() {
-            tracing::error!("{error}; the checkpoint is written without these lines");
-        }
         let checkpoint = Checkpoint {
             iteration: self.iteration,
             env_steps: self.env_steps(),
