@@ -191,6 +191,7 @@ fn has_bands(series: &Series) -> bool {
 
 fn layout(panel: &Panel, plots: &[Plot]) -> Layout {
     let axes = Layout::auto_from_plots(plots);
+    let largest = axes.data_y_range.map_or(0.0, |(low, high)| f64::max(low.abs(), high.abs()));
     let axes = match axes.data_y_range {
         Some((lowest, _)) if lowest.is_finite() => axes.with_y_axis_min(lowest),
         _ => Layout::new((0.0, 1.0), (0.0, 1.0)),
@@ -198,7 +199,7 @@ fn layout(panel: &Panel, plots: &[Plot]) -> Layout {
     axes.with_title(panel.task.clone())
         .with_x_label("environment steps")
         .with_y_label(panel.quantity.label())
-        .with_y_tick_format(panel.quantity.tick_format())
+        .with_y_tick_format(panel.quantity.tick_format(largest))
         .with_x_tick_format(TickFormat::Custom(Arc::new(short_count)))
         .with_grid_line_width(0.5)
 }

@@ -1,6 +1,6 @@
 //! `s2mia page`: the web page of runs, finished or growing, from nothing but their folders.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::observe::metrics::{self, Curves, Returns};
+use learner::observe::metrics::{self, Curves, MeasuredReturn};
 use learner::observe::snapshot::FilmedEpisode;
 use learner::serve::page::{EpisodeName, RunFacts, Runs, ShownRun};
 use learner::store::json_lines::JsonLinesReader;
@@ -172,7 +172,7 @@ struct FollowedRun {
     /// Number of looks that found something new.
     version: u64,
     /// Mean returns of the evaluations.
-    returns: Returns,
+    measured: Vec<MeasuredReturn>,
     /// Lines that are no JSON objects.
     damaged: u64,
     /// Why the metrics could not be read at the last attempt.
@@ -190,7 +190,7 @@ impl FollowedRun {
             metrics: JsonLinesReader::of(folder.join(METRICS)),
             curves: Arc::default(),
             version: 0,
-            returns: BTreeMap::new(),
+            measured: Vec::new(),
             damaged: 0,
             error: None,
             checkpoints: Vec::new(),
@@ -198,7 +198,8 @@ impl FollowedRun {
     }
 
     fn shown(&self) -> ShownRun {
-        let evaluated = |iteration| (iteration, self.returns.get(&iteration).copied());
+        let returns = metrics::returns(self.measured.iter().copied());
+        let evaluated = |iteration| (iteration, returns.get(&iteration).copied());
         let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.trouble());
         let troubles = troubles.collect::<Vec<_>>().join("; ");
         let trouble = Some(troubles).filter(|troubles| !troubles.is_empty());
@@ -234,11 +235,10 @@ impl FollowedRun {
                 let is_readable_again = self.error.take().is_some();
                 if new.from_the_start {
                     (self.curves, self.damaged) = (Arc::default(), 0);
-                    self.returns.clear();
+                    self.measured.clear();
                 }
                 self.damaged += new.damaged;
-                let measured = metrics::measured(&new.lines);
-                self.returns.extend(measured.map(|one| (one.iteration, one.mean)));
+                self.measured.extend(metrics::measured(&new.lines));
                 let curves = Arc::make_mut(&mut self.curves);
                 new.lines.iter().for_each(|line| curves.add(line));
                 is_readable_again || new.damaged > 0 || !new.lines.is_empty()

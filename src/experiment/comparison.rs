@@ -3,7 +3,9 @@
 
 use policy::{Draw, Purpose};
 
-use super::results::{Estimate, Measured, PERMUTATION, areas, finals, found, grouped, tasks};
+use super::results::{
+    Estimate, IMPROVEMENT, Measured, PERMUTATION, areas, finals, found, grouped, tasks,
+};
 use crate::figures::statistics::{
     holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
 };
@@ -92,7 +94,7 @@ fn comparison(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Comparison 
         tasks: pairs.len(),
         runs: pairs.iter().map(|(own, _)| own.len()).sum(),
         score: Estimate::of(&samples, 3, normalised_score),
-        improvement: Estimate::of(&samples, 4, mean_improvement),
+        improvement: Estimate::of(&samples, IMPROVEMENT, mean_improvement),
         p_value,
         adjusted_p_value,
     }

@@ -67,6 +67,7 @@ pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Resul
     }
     new.add_to(&file.record)?;
     let shown = shown_curves(curves, &finished);
+    learning_curve::shortened(&shown).iter().for_each(|line| tracing::warn!("{line}"));
     if !shown.is_empty() {
         written.extend(figures::write_learning_curve(&file.folder, &shown)?);
         written.extend(figures::write_ablation(&file.folder, &shown)?);
@@ -167,16 +168,17 @@ fn markdown(
     file: &ExperimentFile,
     (finished, planned): (usize, usize),
 ) -> String {
-    let share = 100.0 * file.threshold;
+    let share = percent(file.threshold);
     let mut text = format!(
         "{finished} of {planned} runs are finished. Interquartile means over seeds with 95 % bootstrap \
-         intervals; final is the mean over the last tenth of the run; learnt is {share:.0} % of the way from the return at the \
+         intervals; final is the mean over the last tenth of the run; learnt is {share} % of the way from the return at the \
          start to the task's best final return.\n\n\
          | task | variant | runs | final return | mean return over training | steps until learnt (median) \
          | P(better than {}) | p |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n",
         file.baseline
     );
     for row in rows {
+        let decimals = decimals_on(&row.task, rows);
         let improvement = row.improvement.map_or_else(
             || "- | -".to_owned(),
             |found| format!("{} | {}", shown(found.probability, 2), shown_p(found.p_value)),
@@ -186,14 +188,47 @@ fn markdown(
             row.task,
             row.variant,
             row.runs,
-            shown(row.final_return, 0),
-            shown(row.area, 0),
+            shown(row.final_return, decimals),
+            shown(row.area, decimals),
             row.steps_to_threshold.map_or_else(|| "-".to_owned(), |s| chart::thousands(s as u64)),
             row.runs_at_threshold,
             row.runs,
         );
     }
-    text
+    text + &lengths(rows)
+}
+
+/// Per cent, with as many decimals as it has, at most six.
+fn percent(share: f64) -> f64 {
+    (100.0 * share * 1e6).round() / 1e6
+}
+
+/// Decimals with which the largest return of a task has three digits; none for returns from 100 up.
+fn decimals_on(task: &str, rows: &[ResultRow]) -> usize {
+    let of_task = rows.iter().filter(|row| row.task == task);
+    let values = of_task.flat_map(|row| [row.final_return, row.area]);
+    let ends = values.flat_map(|found| [found.value, found.interval.low, found.interval.high]);
+    let largest = ends.map(f64::abs).filter(|end| end.is_finite()).fold(0.0, f64::max);
+    let scaled = std::iter::successors(Some(largest), |size| Some(10.0 * size));
+    if largest == 0.0 { 0 } else { scaled.take(9).take_while(|size| *size < 100.0).count() }
+}
+
+/// A line for each task whose variants have runs of different lengths; empty if there is none.
+fn lengths(rows: &[ResultRow]) -> String {
+    let mut tasks = BTreeMap::<&str, Vec<&ResultRow>>::new();
+    for row in rows {
+        tasks.entry(&row.task).or_default().push(row);
+    }
+    let differ = |rows: &[&ResultRow]| rows.iter().any(|row| row.env_steps != rows[0].env_steps);
+    let different = tasks.into_iter().filter(|(_, rows)| differ(rows));
+    let line = |(task, rows): (&str, Vec<&ResultRow>)| {
+        let length = |row: &&ResultRow| {
+            format!("{} {} steps", row.variant, chart::thousands(row.env_steps as u64))
+        };
+        let all = rows.iter().map(length).collect::<Vec<_>>().join(", ");
+        format!("\nRuns of different lengths are compared on {task}: {all}.\n")
+    };
+    different.map(line).collect()
 }
 
 /// Every variant against the baseline by one measure, over all tasks that both have; empty if there is none.
@@ -237,10 +272,16 @@ fn shown(estimate: Estimate, decimals: usize) -> String {
     if value.is_nan() || interval.high.is_nan() {
         return "-".to_owned();
     }
-    if interval.low == interval.high {
-        return format!("{value:.decimals$}");
-    }
-    format!("{value:.decimals$} ({:.decimals$} to {:.decimals$})", interval.low, interval.high)
+    let [value, low, high] =
+        [value, interval.low, interval.high].map(|number| rounded(number, decimals));
+    if interval.low == interval.high { value } else { format!("{value} ({low} to {high})") }
+}
+
+/// A number with decimals; one that is rounded to 0 has no sign.
+fn rounded(number: f64, decimals: usize) -> String {
+    let text = format!("{number:.decimals$}");
+    let is_zero = text.bytes().all(|byte| b"-0.".contains(&byte));
+    if is_zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
 /// With three decimals. The least p-value of a permutation test is not 0.
@@ -263,7 +304,8 @@ mod tests {
             task: "ant-4x2".into(),
             variant: "near".into(),
             runs: 3,
-            final_return: estimate(86.0),
+            env_steps: 500_000.0,
+            final_return: estimate(860.0),
             area: estimate(51.0),
             steps_to_threshold: Some(150_000.0),
             runs_at_threshold: 2,
@@ -325,7 +367,27 @@ mod tests {
         let text = markdown(&[sample()], &file, (3, 5));
         assert!(text.starts_with("3 of 5 runs are finished."), "{text}");
         let row =
-            "| ant-4x2 | near | 3 | 86 (85 to 87) | 51 (50 to 52) | 150,000 (2/3) | - | - |\n";
+            "| ant-4x2 | near | 3 | 860 (859 to 861) | 51 (50 to 52) | 150,000 (2/3) | - | - |\n";
         assert!(text.ends_with(row), "{text}");
+    }
+
+    #[test]
+    fn runs_of_different_lengths_are_named_below_the_table() {
+        let longer = ResultRow { variant: "far".into(), env_steps: 1e6, ..sample() };
+        assert_eq!(lengths(&[sample(), sample()]), "");
+        let line = "\nRuns of different lengths are compared on ant-4x2: near 500,000 steps, far 1,000,000 steps.\n";
+        assert_eq!(lengths(&[sample(), longer]), line);
+    }
+
+    #[test]
+    fn small_returns_have_three_digits_and_no_sign_of_zero() {
+        let of = |value: f64| Estimate { value, interval: Interval { low: -value, high: value } };
+        let row = |value| ResultRow { final_return: of(value), area: of(0.0), ..sample() };
+        for (largest, decimals) in [(8617.0, 0), (38.0, 1), (1.5, 2), (0.0012, 5), (0.0, 0)] {
+            assert_eq!(decimals_on("ant-4x2", &[row(largest), row(0.0)]), decimals, "{largest}");
+        }
+        assert_eq!(shown(of(0.0034), 5), "0.00340 (-0.00340 to 0.00340)");
+        assert_eq!(shown(of(-0.004), 2), "0.00 (0.00 to 0.00)");
+        assert_eq!([0.8, 0.999, 0.004, 0.55].map(percent), [80.0, 99.9, 0.4, 55.0]);
     }
 }

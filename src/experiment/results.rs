@@ -5,11 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use policy::{Draw, Purpose};
 
 use crate::figures::statistics::{
-    Interval, area_under_curve, bootstrap_interval, first_reaching, interquartile_mean,
-    interquartile_mean_interval, permutation_p_value, probability_of_improvement, quantile,
+    Interval, PRINTED_RESAMPLES, area_under_curve, bootstrap_interval, first_reaching,
+    interquartile_mean, interquartile_mean_interval, permutation_p_value,
+    probability_of_improvement, quantile,
 };
 
-/// Draw of the permutations of runs.
+/// Draws of a mean over tasks of P, and of the permutations of runs. Of one task they are those of its row.
+pub(super) const IMPROVEMENT: u32 = 4;
 pub(super) const PERMUTATION: u32 = 5;
 
 /// A figure and its 95 % confidence interval.
@@ -27,7 +29,8 @@ impl Estimate {
     pub(super) fn of(samples: &[&[f64]], figure: u32, of: impl Fn(&[Vec<f64>]) -> f64) -> Self {
         let whole: Vec<Vec<f64>> = samples.iter().map(|sample| sample.to_vec()).collect();
         let key = Draw::of(Purpose::Bootstrap).step(figure);
-        Self { value: of(&whole), interval: bootstrap_interval(samples, key, of) }
+        let interval = bootstrap_interval(samples, PRINTED_RESAMPLES, key, &of);
+        Self { value: of(&whole), interval }
     }
 }
 
@@ -51,6 +54,8 @@ pub(crate) struct ResultRow {
     pub(crate) variant: String,
     /// Finished runs.
     pub(crate) runs: usize,
+    /// Environment steps of the longest of them.
+    pub(crate) env_steps: f64,
     /// Interquartile mean of the runs' final returns.
     pub(crate) final_return: Estimate,
     /// Interquartile mean of the areas under the curves, per environment step: the mean return over training.
@@ -137,6 +142,10 @@ fn row(
         task: task.to_owned(),
         variant: variant.to_owned(),
         runs: curves.len(),
+        env_steps: curves
+            .iter()
+            .filter_map(|curve| curve.last())
+            .fold(0.0, |most, end| end.0.max(most)),
         final_return: mean(&finals, 0),
         area: mean(&areas, 1),
         steps_to_threshold: median_steps(&reached),
@@ -173,16 +182,15 @@ fn mean(values: &[f64], figure: u32) -> Estimate {
     let key = Draw::of(Purpose::Bootstrap).step(figure);
     Estimate {
         value: interquartile_mean(values),
-        interval: interquartile_mean_interval(values, key),
+        interval: interquartile_mean_interval(values, PRINTED_RESAMPLES, key),
     }
 }
 
 fn improvement(runs: &[f64], baseline: &[f64]) -> Improvement {
     let of = |samples: &[Vec<f64>]| probability_of_improvement(&samples[0], &samples[1]);
-    // As over all tasks, so that an experiment with one has one p-value.
     let key = Draw::of(Purpose::Bootstrap).step(PERMUTATION);
     Improvement {
-        probability: Estimate::of(&[runs, baseline], 2, of),
+        probability: Estimate::of(&[runs, baseline], IMPROVEMENT, of),
         p_value: permutation_p_value(&[(runs.to_vec(), baseline.to_vec())], key),
     }
 }

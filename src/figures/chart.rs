@@ -6,7 +6,7 @@ const BLOCKS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇',
 /// A filled curve of `(x, y)` with `y` on the left and the first and last `x` below; `rows` characters high.
 pub(crate) fn area(points: &[(f64, f64)], width: usize, rows: usize, x_label: &str) -> String {
     let columns = resampled(points, width);
-    let (low, high) = range(&columns);
+    let (low, high) = range(points);
     let heights: Vec<usize> =
         columns.iter().map(|&y| 1 + eighths(y, low, high, rows * 8 - 1)).collect();
     let labels: Vec<String> = (0..rows).map(|row| row_label(row, rows, low, high)).collect();
@@ -68,8 +68,10 @@ fn eighths(value: f64, low: f64, high: f64, steps: usize) -> usize {
     (((value - low) / (high - low)) * steps as f64).round().clamp(0.0, steps as f64) as usize
 }
 
-fn range(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)))
+/// Lowest and highest `y`.
+fn range(points: &[(f64, f64)]) -> (f64, f64) {
+    let widened = |(low, high): (f64, f64), &(_, y): &(f64, f64)| (low.min(y), high.max(y));
+    points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), widened)
 }
 
 /// A count with commas: `1,000,000`.
@@ -102,6 +104,12 @@ mod tests {
         let chart = area(&[(0.0, 0.0), (1000.0, 10.0)], 16, 2, "env steps");
         let expected = "  10.0 ┤        ▁▂▃▄▅▆▇█\n   0.0 ┤▁▂▃▄▅▆▇█████████\n       └────────────────\n        0  1,000 env steps";
         assert_eq!(chart, expected);
+    }
+
+    #[test]
+    fn the_labels_are_the_extremes_of_the_points_even_between_two_columns() {
+        let chart = area(&[(0.0, 0.0), (7.0, 99.0), (14.0, 0.0), (1000.0, 10.0)], 11, 2, "steps");
+        assert!(chart.starts_with("  99.0 ┤") && chart.contains("   0.0 ┤"), "{chart}");
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::config::presets::ALGORITHMS;
 use crate::errors::Usage;
 use crate::figures::chart;
 use crate::figures::statistics::Interval;
-use crate::run::recorded::all_lines;
+use crate::run::recorded::{all_lines, of_kind};
 use crate::run::run_path::demand_run;
 use crate::run::stored::config_of_run;
 
@@ -23,6 +23,9 @@ use joining::joined;
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
 const MOST_POINTS: usize = 100;
+
+/// Information that is smaller everywhere on an axis has exponents there.
+const LEAST_FIXED: f64 = 0.002;
 
 /// A quantity that changes during training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -48,18 +51,24 @@ impl Quantity {
         }
     }
 
-    /// Numbers on the y-axis. Information is small; with exponents the axis would have no room for them.
-    pub(crate) fn tick_format(self) -> TickFormat {
+    /// Numbers on a y-axis whose values are at most `largest` from 0. Information is small: the axis has room for four decimals,
+    /// and for exponents where these would be zeros.
+    pub(crate) fn tick_format(self, largest: f64) -> TickFormat {
         match self {
-            Self::Return | Self::Surprise => TickFormat::Auto,
+            Self::Information if largest < LEAST_FIXED => TickFormat::Sci,
             Self::Information => TickFormat::Fixed(4),
+            Self::Return | Self::Surprise => TickFormat::Auto,
         }
     }
 
-    /// Env steps and value of every line that has one, in order of env steps.
+    /// Env steps and value of every line that has one, in order of env steps. Returns are those with actions of the same kind as
+    /// in the last evaluation, mean or sampled.
     pub(crate) fn points(self, lines: &[Value]) -> Vec<(f64, f64)> {
+        let last = lines.iter().rfind(|line| line["kind"] == "evaluation").map(is_sampled);
+        let is_alike =
+            |line: &Value| line["kind"] == "evaluation" && last == Some(is_sampled(line));
         let value = |line: &Value| match self {
-            Self::Return => (line["kind"] == "evaluation").then(|| line["mean"].as_f64())?,
+            Self::Return => is_alike(line).then(|| line["mean"].as_f64())?,
             Self::Surprise => mean_over_agents(line, "surprise_entropy_bound"),
             Self::Information => mean_over_agents(line, "mi_estimate"),
         };
@@ -78,10 +87,15 @@ impl Quantity {
     }
 }
 
-/// Mean of `agent0/NAME`, `agent1/NAME` and so on; `None` if no agent has it.
+/// Whether an evaluation sampled its actions.
+fn is_sampled(line: &Value) -> bool {
+    line["sampled"].as_bool().unwrap_or(false)
+}
+
+/// Mean of `agent0/NAME`, `agent1/NAME` and so on; `None` if no agent has it, or if that of one is not finite (null).
 fn mean_over_agents(line: &Value, name: &str) -> Option<f64> {
-    let of = |agent: usize| line.get(format!("agent{agent}/{name}"))?.as_f64();
-    let values: Vec<f64> = (0..).map_while(of).collect();
+    let of = |agent: usize| line.get(format!("agent{agent}/{name}"));
+    let values: Vec<f64> = (0..).map_while(of).map(Value::as_f64).collect::<Option<_>>()?;
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
@@ -159,10 +173,8 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
     demand_run(folder)?;
     let metrics = folder.join(METRICS);
     let lines = all_lines(&metrics)?;
-    let iterations = lines.iter().filter(|line| line["kind"] != "evaluation");
-    let iterations: BTreeSet<u64> =
-        iterations.filter_map(|line| line["iteration"].as_u64()).collect();
-    let last = iterations.last().copied().unwrap_or(0);
+    let iterations = of_kind(&metrics, &lines, "iteration")?;
+    let last = iterations.keys().last().copied().unwrap_or(0);
     if (iterations.len() as u64) < last {
         tracing::warn!(
             "{} has {} of {last} iterations: the curve has gaps",
@@ -170,7 +182,16 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Curve> {
             iterations.len()
         );
     }
-    let points = Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))).into();
+    let points = BTreeMap::from(Quantity::ALL.map(|quantity| (quantity, quantity.points(&lines))));
+    let evaluations = of_kind(&metrics, &lines, "evaluation")?.len();
+    let shown = points[&Quantity::Return].len();
+    if shown < evaluations {
+        tracing::warn!(
+            "{} has {evaluations} evaluations, and the curve {shown}: the others have actions of another kind than the last one \
+             (evaluation.sampled), or no finite return",
+            metrics.display()
+        );
+    }
     Ok(Curve { points, ..without_points(folder)? })
 }
 
@@ -324,21 +345,32 @@ fn brief(value: &str) -> &str {
     }
 }
 
-/// A line for each variant of a task whose runs end at different steps, as its curve has no more steps than the shortest.
+/// A line for each variant of a task whose runs end at different steps, as its curve has no more steps than the shortest, and one
+/// for each of its curves that has fewer runs than that of its returns.
 pub(crate) fn shortened(curves: &[Curve]) -> Vec<String> {
-    let line = |((task, name), group): ((&str, String), Vec<&Curve>)| {
+    let mut lines = Vec::new();
+    for ((task, name), group) in grouped(curves) {
         let ends = group.iter().filter_map(|curve| Some(curve.of(Quantity::Return).last()?.0));
         let (first, last) = ends
             .fold((f64::INFINITY, 0.0_f64), |(first, last), end| (first.min(end), last.max(end)));
-        let [shown, most] = [first, last].map(|end| chart::thousands(end as u64));
-        (first < last).then(|| {
-            format!(
-                "{task}: the curve of {name} ends at {shown} env steps with the shortest of its {} runs; the longest has {most}",
-                group.len()
-            )
-        })
-    };
-    grouped(curves).into_iter().filter_map(line).collect()
+        let runs = group.len();
+        if first < last {
+            let [shown, most] = [first, last].map(|end| chart::thousands(end as u64));
+            lines.push(format!(
+                "{task}: the curve of {name} ends at {shown} env steps with the shortest of its {runs} runs; the longest has {most}"
+            ));
+        }
+        for quantity in [Quantity::Surprise, Quantity::Information] {
+            let measured = group.iter().filter(|curve| !curve.of(quantity).is_empty()).count();
+            if 0 < measured && measured < runs {
+                let of = quantity.label();
+                lines.push(format!(
+                    "{task}: the curve of {name} is of {measured} of its {runs} runs for {of}"
+                ));
+            }
+        }
+    }
+    lines
 }
 
 /// Text of each variant in the legend: its name, and its seed or the number of seeds.

@@ -190,7 +190,7 @@ pub(crate) fn all_lines(file: &Path) -> anyhow::Result<Vec<Value>> {
 }
 
 /// The lines of this kind; a line without a kind is one of an iteration.
-fn of_kind(file: &Path, lines: &[Value], kind: &str) -> anyhow::Result<Lines> {
+pub(crate) fn of_kind(file: &Path, lines: &[Value], kind: &str) -> anyhow::Result<Lines> {
     let mut found = Lines::new();
     for line in lines.iter().filter(|line| line["kind"].as_str().unwrap_or("iteration") == kind) {
         let iteration = line["iteration"].as_u64();

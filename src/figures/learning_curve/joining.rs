@@ -4,17 +4,16 @@ use policy::{Draw, Purpose};
 
 use super::{Curve, Point, Quantity};
 use crate::figures::statistics::{
-    interquartile_mean, interquartile_mean_interval, interquartile_range,
+    DRAWN_RESAMPLES, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
 
 /// The points of a group at the environment steps of any of its runs, from their latest start to their earliest end; between its
-/// own points, a run has the value of a straight line.
+/// own points, a run has the value of a straight line. Runs without the quantity are left out.
 pub(super) fn joined(group: &[&Curve], quantity: Quantity) -> Vec<Point> {
-    let runs: Vec<&[(f64, f64)]> = group.iter().map(|curve| curve.of(quantity)).collect();
-    let ends = |run: &&[(f64, f64)]| Some((run.first()?.0, run.last()?.0));
-    let Some(ends) = runs.iter().map(ends).collect::<Option<Vec<_>>>() else { return Vec::new() };
-    let start = ends.iter().fold(f64::NEG_INFINITY, |start, end| start.max(end.0));
-    let end = ends.iter().fold(f64::INFINITY, |end, other| end.min(other.1));
+    let runs = group.iter().map(|curve| curve.of(quantity));
+    let runs: Vec<&[(f64, f64)]> = runs.filter(|run| !run.is_empty()).collect();
+    let start = runs.iter().fold(f64::NEG_INFINITY, |start, run| start.max(run[0].0));
+    let end = runs.iter().fold(f64::INFINITY, |end, run| end.min(run[run.len() - 1].0));
     let all = runs.iter().flat_map(|run| run.iter().map(|point| point.0));
     let mut steps: Vec<f64> = all.filter(|steps| (start..=end).contains(steps)).collect();
     steps.sort_by(f64::total_cmp);
@@ -44,7 +43,7 @@ fn point(env_steps: f64, values: &[f64]) -> Point {
     Point {
         env_steps,
         centre: interquartile_mean(values),
-        confidence: interquartile_mean_interval(values, key),
+        confidence: interquartile_mean_interval(values, DRAWN_RESAMPLES, key),
         quartiles: interquartile_range(values),
     }
 }

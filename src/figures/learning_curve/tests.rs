@@ -80,6 +80,54 @@ fn names_have_eight_digits_of_a_digest_and_a_word_for_an_empty_value() {
 }
 
 #[test]
+fn returns_of_mean_actions_and_of_sampled_ones_are_not_joined() {
+    let line = |env_steps: u64, mean: f64, sampled: bool| json!({"kind": "evaluation", "env_steps": env_steps, "mean": mean, "sampled": sampled});
+    let lines = [line(0, 0.5, false), line(1000, 47.7, false), line(2000, 28.5, true)];
+    assert_eq!(Quantity::Return.points(&lines), [(2000.0, 28.5)]);
+    assert_eq!(Quantity::Return.points(&lines[..2]), [(0.0, 0.5), (1000.0, 47.7)]);
+}
+
+#[test]
+fn a_mean_over_agents_with_a_figure_that_is_not_finite_is_left_out() {
+    let line = |steps: u64, second: Option<f64>| {
+        let (first, second) =
+            ("agent0/surprise_entropy_bound", ("agent1/surprise_entropy_bound", second));
+        json!({"env_steps": steps, first: 1.0, second.0: second.1})
+    };
+    let lines = [line(1000, Some(3.0)), line(2000, None)];
+    assert_eq!(Quantity::Surprise.points(&lines), [(1000.0, 2.0)]);
+}
+
+#[test]
+fn a_second_evaluation_of_one_iteration_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = RunConfig::with(&[]).unwrap().resolved.to_toml();
+    let run = RunFolder::claim_new(&folder.path().join("run")).unwrap();
+    run.begin(&config, &json!({})).unwrap();
+    let line = r#"{"kind": "evaluation", "iteration": 0, "env_steps": 0, "mean": 1.0}"#;
+    std::fs::write(run.file(METRICS), format!("{line}\n{line}\n")).unwrap();
+    let error = read(run.path()).unwrap_err().to_string();
+    assert!(error.ends_with("has a second evaluation line for iteration 0"), "{error}");
+}
+
+#[test]
+fn runs_without_a_quantity_are_left_out_of_its_curve_and_named() {
+    let with = |seed: u64, surprise: &[(f64, f64)]| {
+        let mut curve = curve("happo", seed, &[(0.0, 1.0)]);
+        curve.points.insert(Quantity::Surprise, surprise.to_vec());
+        curve
+    };
+    let curves = [with(1, &[(1000.0, 4.0)]), with(2, &[(1000.0, 6.0)]), with(3, &[])];
+    let panels = panels(&curves, &[Quantity::Surprise]);
+    let centres: Vec<f64> = panels[0].series[0].points.iter().map(|p| p.centre).collect();
+    assert_eq!(centres, [5.0]);
+    assert_eq!(
+        shortened(&curves),
+        ["halfcheetah-2x3: the curve of happo is of 2 of its 3 runs for surprise, nats"]
+    );
+}
+
+#[test]
 fn a_curve_that_ends_with_the_shortest_of_its_runs_is_named() {
     let long = curve("happo", 1, &[(0.0, 1.0), (8000.0, 2.0)]);
     let short = curve("happo", 2, &[(0.0, 1.0), (4000.0, 2.0)]);
@@ -99,7 +147,7 @@ fn runs_of_one_seed_are_refused_and_runs_that_are_evaluated_otherwise_are_not_jo
         let config = RunConfig::with(&settings).unwrap().resolved.to_toml();
         let run = RunFolder::claim_new(&runs.path().join(name)).unwrap();
         run.begin(&config, &json!({})).unwrap();
-        let line = r#"{"kind": "evaluation", "env_steps": 0, "mean": 1.0}"#;
+        let line = r#"{"kind": "evaluation", "iteration": 0, "env_steps": 0, "mean": 1.0}"#;
         std::fs::write(run.file(METRICS), format!("{line}\n")).unwrap();
         run.path().to_path_buf()
     };

@@ -49,14 +49,14 @@ function extent(values) {
 
 // The curves of a legend entry: mean, lowest and highest.
 
-/// Mean, lowest and highest figure of several curves, from their latest start to their earliest end, at the points of the curve that
-/// has the fewest there: curves of different lengths are thinned out differently.
+/// Mean, lowest and highest figure of several curves, from their latest start to their earliest end, there and at the points of the
+/// curve that has the fewest in between: curves of different lengths are thinned out differently.
 function together(curves) {
   if (curves.length === 1) return {steps: curves[0][0], figures: curves[0][1]};
   const first = Math.max(...curves.map(([steps]) => steps[0])), last = Math.min(...curves.map(([steps]) => steps.at(-1)));
-  const inside = curves.map(([steps]) => steps.filter((at) => at >= first && at <= last));
-  const steps = inside.reduce((a, b) => b.length < a.length ? b : a);
-  if (first <= last && steps.at(-1) !== last) steps.push(last);
+  const inside = curves.map(([steps]) => steps.filter((at) => at > first && at < last));
+  const inner = inside.reduce((a, b) => b.length < a.length ? b : a);
+  const steps = first < last ? [first, ...inner, last] : first === last ? [first] : [];
   const figures = curves.map((curve) => interpolated(curve, steps)), at = steps.map((_, k) => figures.map((all) => all[k]));
   return {
     steps,
