@@ -5,6 +5,7 @@ mod joining;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use kuva::render::layout::TickFormat;
 use learner::store::run_folder::{METRICS, RunFolder};
@@ -20,6 +21,7 @@ use crate::run::run_path::demand_run;
 use crate::run::stored::config_of_run;
 
 use joining::joined;
+pub(crate) use joining::shortened;
 
 /// Largest number of points of a curve; neighbouring iterations are averaged above it.
 const MOST_POINTS: usize = 100;
@@ -55,7 +57,9 @@ impl Quantity {
     /// and for exponents where these would be zeros.
     pub(crate) fn tick_format(self, largest: f64) -> TickFormat {
         match self {
-            Self::Information if largest < LEAST_FIXED => TickFormat::Sci,
+            Self::Information if largest < LEAST_FIXED => {
+                TickFormat::Custom(Arc::new(|value| format!("{value:.1e}")))
+            }
             Self::Information => TickFormat::Fixed(4),
             Self::Return | Self::Surprise => TickFormat::Auto,
         }
@@ -343,34 +347,6 @@ fn brief(value: &str) -> &str {
         _ if value.is_empty() => "none",
         _ => value,
     }
-}
-
-/// A line for each variant of a task whose runs end at different steps, as its curve has no more steps than the shortest, and one
-/// for each of its curves that has fewer runs than that of its returns.
-pub(crate) fn shortened(curves: &[Curve]) -> Vec<String> {
-    let mut lines = Vec::new();
-    for ((task, name), group) in grouped(curves) {
-        let ends = group.iter().filter_map(|curve| Some(curve.of(Quantity::Return).last()?.0));
-        let (first, last) = ends
-            .fold((f64::INFINITY, 0.0_f64), |(first, last), end| (first.min(end), last.max(end)));
-        let runs = group.len();
-        if first < last {
-            let [shown, most] = [first, last].map(|end| chart::thousands(end as u64));
-            lines.push(format!(
-                "{task}: the curve of {name} ends at {shown} env steps with the shortest of its {runs} runs; the longest has {most}"
-            ));
-        }
-        for quantity in [Quantity::Surprise, Quantity::Information] {
-            let measured = group.iter().filter(|curve| !curve.of(quantity).is_empty()).count();
-            if 0 < measured && measured < runs {
-                let of = quantity.label();
-                lines.push(format!(
-                    "{task}: the curve of {name} is of {measured} of its {runs} runs for {of}"
-                ));
-            }
-        }
-    }
-    lines
 }
 
 /// Text of each variant in the legend: its name, and its seed or the number of seeds.

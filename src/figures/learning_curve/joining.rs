@@ -1,8 +1,9 @@
-//! The mean curve of the runs of a group: their values at common environment steps, and intervals over the runs.
+//! The mean curve of the runs of a group: their values at common environment steps, intervals over the runs, and what it leaves out.
 
 use policy::{Draw, Purpose};
 
-use super::{Curve, Point, Quantity};
+use super::{Curve, Point, Quantity, grouped};
+use crate::figures::chart;
 use crate::figures::statistics::{
     DRAWN_RESAMPLES, interquartile_mean, interquartile_mean_interval, interquartile_range,
 };
@@ -46,4 +47,32 @@ fn point(env_steps: f64, values: &[f64]) -> Point {
         confidence: interquartile_mean_interval(values, DRAWN_RESAMPLES, key),
         quartiles: interquartile_range(values),
     }
+}
+
+/// A line for each variant of a task whose runs end at different steps, as its curve has no more steps than the shortest, and one
+/// for each of its curves that has fewer runs than that of its returns.
+pub(crate) fn shortened(curves: &[Curve]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for ((task, name), group) in grouped(curves) {
+        let ends = group.iter().filter_map(|curve| Some(curve.of(Quantity::Return).last()?.0));
+        let (first, last) = ends
+            .fold((f64::INFINITY, 0.0_f64), |(first, last), end| (first.min(end), last.max(end)));
+        let runs = group.len();
+        if first < last {
+            let [shown, most] = [first, last].map(|end| chart::thousands(end as u64));
+            lines.push(format!(
+                "{task}: the curve of {name} ends at {shown} env steps with the shortest of its {runs} runs; the longest has {most}"
+            ));
+        }
+        for quantity in [Quantity::Surprise, Quantity::Information] {
+            let measured = group.iter().filter(|curve| !curve.of(quantity).is_empty()).count();
+            if 0 < measured && measured < runs {
+                let of = quantity.label();
+                lines.push(format!(
+                    "{task}: the curve of {name} is of {measured} of its {runs} runs for {of}"
+                ));
+            }
+        }
+    }
+    lines
 }
