@@ -64,14 +64,7 @@ def runs(folder: str | os.PathLike[str]) -> Runs:
         (metrics, "episode_return", "episode_return"),
         (evaluations, "mean", "evaluation"),
     ]:
-        newest = source.sort_values("iteration").groupby("run") if column in source else None
-        if newest is None:
-            table[name] = None
-        elif column == "episode_return":
-            # Of the newest iteration in which an episode ended.
-            table[name] = newest[column].last()
-        else:
-            table[name] = newest.tail(1).set_index("run")[column]
+        table[name] = source.groupby("run")[column].last() if column in source else None
     manifests = [parsed(read(file), file) for file in (path / "manifest.json" for path in found)]
     for name in _MANIFEST:
         table[name] = [manifest.get(name) for manifest in manifests]
