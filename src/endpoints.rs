@@ -1,6 +1,6 @@
 //! Endpoints of servers and clients: addresses and who can reach them, TLS arguments, the run's page, and tokens.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -124,7 +124,7 @@ impl PageArguments {
         let permission = "pass --page-tls (s2mia learner with certificates) or --insecure-allow-remote-page to allow \
              that, and --page-host with the names they use";
         match tls {
-            Some(_) => self.access.hosts().map(drop),
+            Some(_) => self.access.hosts(None).map(drop),
             None => self.access.check("--page", address, permission),
         }
     }
@@ -148,7 +148,7 @@ impl PageAccess {
         address: SocketAddr,
         permission: &str,
     ) -> Result<(), Usage> {
-        self.hosts()?;
+        self.hosts(None)?;
         if self.insecure_allow_remote_page {
             return Ok(());
         }
@@ -166,15 +166,27 @@ impl PageAccess {
             .await
             .map_err(|error| Usage::new(format!("{flag} {address}: {error}; {advice}")))?;
         let scheme = if tls.is_some() { "https" } else { "http" };
-        output::line(format!("page: {scheme}://{}", listener.local_addr()?));
-        Ok(Page { listener, hosts: self.hosts()?, tls })
+        let bound = listener.local_addr()?;
+        output::line(format!("page: {scheme}://{}", reachable(bound)));
+        Ok(Page { listener, hosts: self.hosts(Some(bound.ip()))?, tls })
     }
 
-    /// The hosts that `--page-host` allows.
-    fn hosts(&self) -> Result<Hosts, Usage> {
-        let hosts = Hosts::with(&self.page_host);
-        hosts.map_err(|error| Usage::new(format!("--page-host: {error}")))
+    /// The hosts that `--page-host` allows, and the address on which the page listens: no website can use an address as its name.
+    fn hosts(&self, bound: Option<IpAddr>) -> Result<Hosts, Usage> {
+        let own = bound.filter(|ip| !ip.is_unspecified()).map(|ip| ip.to_string());
+        let hosts: Vec<_> = self.page_host.iter().cloned().chain(own).collect();
+        Hosts::with(&hosts).map_err(|error| Usage::new(format!("--page-host: {error}")))
     }
+}
+
+/// Where this machine reaches a server that listens on `address`: on loopback, if it listens on all addresses.
+pub(crate) fn reachable(address: SocketAddr) -> SocketAddr {
+    let loopback = match address.ip() {
+        IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+        IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+    };
+    let ip = if address.ip().is_unspecified() { loopback } else { address.ip() };
+    SocketAddr::new(ip, address.port())
 }
 
 /// The token in `S2MIA_TOKEN`, if the variable is set.
@@ -315,6 +327,18 @@ mod tests {
             assert!(allowed.check(None).is_ok(), "{page}");
         }
         assert!("8080".parse::<PageAddress>().is_err());
+    }
+
+    #[test]
+    fn a_learner_on_all_addresses_is_reached_on_loopback() {
+        for (address, expected) in [
+            ("0.0.0.0:50051", "127.0.0.1:50051"),
+            ("[::]:50051", "[::1]:50051"),
+            ("10.0.0.5:50051", "10.0.0.5:50051"),
+            ("[::1]:50051", "[::1]:50051"),
+        ] {
+            assert_eq!(reachable(address.parse().unwrap()).to_string(), expected);
+        }
     }
 
     #[tokio::test]

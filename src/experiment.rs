@@ -19,6 +19,7 @@ use crate::config::Request;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart::{counted, thousands};
+use crate::run::run_path::LONGEST_NAME;
 use crate::run::warm_up;
 use file::{ExperimentFile, Variant, assignments};
 
@@ -83,7 +84,20 @@ pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
         }
     }
     demand_own_folders(file, &runs)?;
+    demand_short_names(file, &runs)?;
     Ok(runs)
+}
+
+/// Refuses a run whose log would have a longer name than file systems accept.
+fn demand_short_names(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), Usage> {
+    let is_long =
+        |run: &&PlannedRun| run.log().file_name().is_some_and(|name| name.len() > LONGEST_NAME);
+    let Some(run) = runs.iter().find(is_long) else { return Ok(()) };
+    let place = file.path.display();
+    Err(Usage::new(format!(
+        "{place}: the variant {} has too long a name for its runs' files",
+        run.variant
+    )))
 }
 
 /// Refuses two runs with one folder: tasks of different spelling, or a task and a variant together, can have the same names.

@@ -1,6 +1,5 @@
 //! `s2mia status`, `s2mia health` and `s2mia stop`, and how commands find a running learner.
 
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::time::Duration;
 
@@ -13,7 +12,7 @@ use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
 use security::{ClientTls, addresses};
 use serde_json::json;
 
-use crate::endpoints::{ClientTlsArguments, credentials, token_for_run};
+use crate::endpoints::{ClientTlsArguments, credentials, reachable, token_for_run};
 use crate::errors::Usage;
 use crate::figures::chart::{counted, thousands};
 use crate::process::{output, runtime, shell};
@@ -54,6 +53,7 @@ pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
+    token_for_run(Path::new(of)).context("SIGTERM to the learner's process also stops it")?;
     let stopped =
         async { operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from) };
     let stopped = answered(stopped, &learner.tls, learner.timeout_secs);
@@ -81,21 +81,8 @@ pub(super) fn url(learner: &LearnerArgument) -> anyhow::Result<Option<String>> {
     if !Path::new(of).is_dir() {
         return Err(Usage::new(format!("`{of}` is no run folder, URL or HOST:PORT")).into());
     }
-    Ok(RunFolder::listening(Path::new(of))?.map(|address| with_scheme(&reachable(&address))))
-}
-
-/// Where this machine reaches a learner that listens on `address`: on loopback, if it listens on all addresses.
-fn reachable(address: &str) -> String {
-    match address.parse::<SocketAddr>() {
-        Ok(all) if all.ip().is_unspecified() => {
-            let loopback: IpAddr = match all.ip() {
-                IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
-                IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
-            };
-            SocketAddr::new(loopback, all.port()).to_string()
-        }
-        _ => address.to_owned(),
-    }
+    Ok(RunFolder::listening(Path::new(of))?
+        .map(|address| with_scheme(&reachable(address).to_string())))
 }
 
 /// The URL or `HOST:PORT` that the argument is; `None` for a folder.
@@ -106,10 +93,11 @@ pub(super) fn address(of: &str) -> Option<&str> {
     (is_address && !Path::new(of).is_dir()).then_some(of)
 }
 
-/// A connection to the learner at `url`.
+/// A connection to the learner at `url`. Only `stop` needs a token: one that cannot be read is not sent.
 pub(super) async fn operator(url: &str, learner: &LearnerArgument) -> anyhow::Result<Operator> {
     let tls = credentials(url, &learner.tls)?;
-    let token = token_for_run(Path::new(&learner.of))?.filter(|_| is_private(url, tls.as_ref()));
+    let token = token_for_run(Path::new(&learner.of)).ok().flatten();
+    let token = token.filter(|_| is_private(url, tls.as_ref()));
     Ok(Operator::connect(url, tls.as_ref(), token.as_ref(), learner.timeout_secs).await?)
 }
 
@@ -311,18 +299,6 @@ pub(super) fn health(arguments: &HealthArguments) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_learner_on_all_addresses_is_reached_on_loopback() {
-        for (address, expected) in [
-            ("0.0.0.0:50051", "127.0.0.1:50051"),
-            ("[::]:50051", "[::1]:50051"),
-            ("10.0.0.5:50051", "10.0.0.5:50051"),
-            ("[::1]:50051", "[::1]:50051"),
-        ] {
-            assert_eq!(reachable(address), expected);
-        }
-    }
 
     #[test]
     fn times_that_no_deadline_can_have_are_refused() {

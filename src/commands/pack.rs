@@ -41,7 +41,7 @@ pub(super) fn run(arguments: &PackArguments) -> anyhow::Result<()> {
         return Err(Usage::new(why).into());
     }
     std::fs::create_dir(&pack).with_context(|| format!("cannot make {shown}"))?;
-    let written = write(&recorded, &pack);
+    let written = recorded.undisturbed(|recorded| write(recorded, &pack));
     if written.is_err() {
         // What was written so far is no pack.
         let _removed = std::fs::remove_dir_all(&pack);

@@ -21,7 +21,7 @@ use crate::commands::film;
 use crate::endpoints::PageAccess;
 use crate::errors::Usage;
 use crate::figures::learning_curve::{self, Curve};
-use crate::process::runtime;
+use crate::process::{output, runtime};
 use crate::run::chosen::{self, Which};
 use crate::run::{self, run_path, stored};
 
@@ -68,6 +68,8 @@ pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
     runtime()?.block_on(async {
         let advice = "choose another port, or 0 for any free one";
         let page = access.open(("--listen", *listen), advice, None).await?;
+        // A page whose address nobody knows is of no use.
+        output::finish()?;
         learner::serve::page::serve(page, Arc::new(stored)).await;
         Ok(())
     })
@@ -223,7 +225,9 @@ impl FollowedRun {
             lines => Some(format!("{lines} damaged lines are skipped")),
         };
         let name = run_path::file_name(self.metrics.path()).unwrap_or_default();
-        self.error.clone().or(damage).map(|why| format!("{name}: {why}"))
+        let trouble = self.error.clone().or(damage).map(|why| format!("{name}: {why}"));
+        let gone = || format!("{} is gone", self.folder.display());
+        if self.folder.exists() { trouble } else { Some(gone()) }
     }
 
     /// Reads what is new. Metrics that cannot be read are tried again; each new reason is reported once.
@@ -241,7 +245,7 @@ impl FollowedRun {
                 self.measured.extend(metrics::measured(&new.lines));
                 let curves = Arc::make_mut(&mut self.curves);
                 new.lines.iter().for_each(|line| curves.add(line));
-                is_readable_again || new.damaged > 0 || !new.lines.is_empty()
+                is_readable_again || new.from_the_start || new.damaged > 0 || !new.lines.is_empty()
             }
             Err(error) => {
                 let error = error.to_string();

@@ -42,17 +42,21 @@ pub(super) fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
 
 /// The last line.
 fn verify(arguments: &VerifyArguments) -> anyhow::Result<String> {
+    Recorded::read(&arguments.run)?.undisturbed(|recorded| recomputed(arguments, recorded))
+}
+
+/// Computes random parts of the run again, and says how much is equal.
+fn recomputed(arguments: &VerifyArguments, recorded: &Recorded) -> anyhow::Result<String> {
     let VerifyArguments { run, iterations: count, program } = arguments;
-    let recorded = Recorded::read(run)?;
     let fingerprint = rollout::rollout_fingerprint();
     resume::demand_same_program(run, fingerprint, recorded.config_sha256())?;
     recorded.demand_starts()?;
     recorded.demand_checkpoints()?;
     let parts = verification::parts(&recorded.checkpoints, recorded.last());
-    output::line(opening(&recorded, &parts)?);
+    output::line(opening(recorded, &parts)?);
     let chosen = verification::chosen(verification::shuffled(parts), *count);
     let total = chosen.iter().map(|part| part.length()).sum();
-    let verifier = Verifier::of(&recorded, program)?;
+    let verifier = Verifier::of(recorded, program)?;
     let progress = Arc::new(WorkProgress::new());
     let (mut begun, mut iterations) = (0, 0);
     let mut evaluations = BTreeSet::new();

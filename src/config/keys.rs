@@ -56,6 +56,11 @@ pub(crate) fn weighted_term(key: &str) -> Option<&str> {
     key.strip_prefix(WEIGHTS).filter(is_name)
 }
 
+/// Whether `key` is the section of the weights of reward terms.
+pub(super) fn is_weights(key: &str) -> bool {
+    WEIGHTS.strip_suffix('.') == Some(key)
+}
+
 /// Keys that set only the length of a run; a resume may raise them.
 pub(crate) const LENGTH: &[&str] = &["run.iterations", "run.env_steps"];
 

@@ -2,6 +2,7 @@
 //! bring a key that neither `configs/base.toml` nor an algorithm's file has.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -65,7 +66,7 @@ pub(crate) struct Request {
     /// Files given with `--config`, later ones win.
     pub(crate) files: Vec<PathBuf>,
     /// Environment variables that begin with the program's name.
-    pub(crate) environment: Vec<(String, String)>,
+    pub(crate) environment: Vec<(String, OsString)>,
     /// Arguments `key.path=value`; a first one without `=` is the task.
     pub(crate) settings: Vec<String>,
     /// Where `settings` are written, if not on the command line.
@@ -78,7 +79,6 @@ impl Request {
         let environment = std::env::vars_os()
             .filter_map(|(name, value)| Some((name.into_string().ok()?, value)))
             .filter(|(name, _)| name.starts_with(ALIKE_PREFIX))
-            .map(|(name, value)| (name, value.to_string_lossy().into_owned()))
             .collect();
         Self { files, environment, settings, ..Self::default() }
     }
@@ -133,7 +133,9 @@ fn asked_layers(request: &Request) -> Result<Vec<SettingsLayer>, ConfigError> {
             continue;
         };
         let key = key.to_lowercase().replace("__", ".");
-        layers.push(setting_layer(&format!("{VARIABLE} {name}"), &key, value)?);
+        let place = format!("{VARIABLE} {name}");
+        let not_text = || ConfigError::at(&place, "it is not UTF-8 text");
+        layers.push(setting_layer(&place, &key, value.to_str().ok_or_else(not_text)?)?);
     }
     let place = request.settings_place.as_deref().unwrap_or(COMMAND_LINE);
     for (position, argument) in request.settings.iter().enumerate() {
@@ -304,7 +306,8 @@ fn table_layer(place: &str, text: &str) -> Result<SettingsLayer, ConfigError> {
 fn laid_out(place: &str, table: &Table) -> Result<SettingsLayer, ConfigError> {
     let mut values = BTreeMap::new();
     for (key, value) in keys::leaves(table) {
-        if value.is_table() && first_inside(&key).is_some() {
+        // An empty section.
+        if value.is_table() && (first_inside(&key).is_some() || keys::is_weights(&key)) {
             continue;
         }
         let default = known(place, &key)?;

@@ -55,7 +55,7 @@ impl Target {
         existing: Existing,
     ) -> Result<Self, Usage> {
         let refused = |why: &str| Err(Usage::new(format!("{option} {}: {why}", path.display())));
-        if path.is_dir() {
+        if path.is_dir() || path.as_os_str().as_encoded_bytes().ends_with(b"/") {
             return refused("is a folder; name a file");
         }
         check_parent(option, path)?;
@@ -149,7 +149,7 @@ impl Drop for Draft {
     }
 }
 
-/// Refuses files that exist, unless they may be replaced. Pipes and devices are never replaced.
+/// Refuses files that exist, unless they may be replaced. Pipes, devices and links to them are never replaced.
 pub(crate) fn demand_free(
     option: &str,
     paths: impl IntoIterator<Item = PathBuf>,
@@ -157,7 +157,14 @@ pub(crate) fn demand_free(
 ) -> Result<(), Usage> {
     for path in paths {
         let Ok(found) = path.symlink_metadata() else { continue };
-        if let Some(why) = plain_file::refusal(&path).filter(|_| !found.is_symlink()) {
+        let leads_to_device = path.metadata().is_ok_and(|to| !to.is_file() && !to.is_dir());
+        let refusal = match plain_file::refusal(&path).filter(|_| !found.is_symlink()) {
+            None if leads_to_device => {
+                Some("is a link to a pipe or device; name a file".to_owned())
+            }
+            why => why.map(|why| why.to_string()),
+        };
+        if let Some(why) = refusal {
             return Err(Usage::new(format!("{option} {}: {why}", path.display())));
         }
         if existing == Existing::Kept {
@@ -250,6 +257,22 @@ mod tests {
         Target::named("--out", &link, "png", Existing::Replaced).unwrap().write(b"new").unwrap();
         assert_eq!(std::fs::read(&file).unwrap(), b"mine");
         assert_eq!(std::fs::read(&link).unwrap(), b"new");
+    }
+
+    #[test]
+    fn a_link_to_a_device_and_the_path_of_a_folder_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("stdout");
+        symlink("/dev/null", &link).unwrap();
+        let named = |path: &Path| Target::named("--out", path, "png", Existing::Replaced);
+        let refused = named(&link).unwrap_err().to_string();
+        assert!(
+            refused.ends_with("stdout: is a link to a pipe or device; name a file"),
+            "{refused}"
+        );
+        assert!(link.is_symlink());
+        let refused = named(&folder.path().join("new/")).unwrap_err().to_string();
+        assert!(refused.ends_with("new/: is a folder; name a file"), "{refused}");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use learner::store::checkpoint::{self, Loaded, SETTINGS};
 use learner::store::json_lines::JsonLinesReader;
+use learner::store::plain_file;
 use learner::store::run_folder::{CONFIG, MANIFEST, METRICS, PROVENANCE, RunFolder, STARTS};
 use proto::Digest;
 use proto::name::printable;
@@ -70,6 +71,25 @@ impl Recorded {
         checkpoints.retain(|iteration| *iteration > 0);
         let folder = folder.to_path_buf();
         Ok(Self { folder, manifest, config, provenance, metrics, evaluations, checkpoints })
+    }
+
+    /// Does `work` with the records of the run. Where that fails because a learner worked on the run meanwhile, the error says that.
+    ///
+    /// # Errors
+    /// As `work`.
+    pub(crate) fn undisturbed<T>(
+        &self,
+        work: impl FnOnce(&Self) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let starts = || plain_file::read(&self.folder.join(STARTS)).ok();
+        let before = starts();
+        let done = work(self);
+        let is_disturbed = done.is_err() && starts() != before;
+        ensure!(
+            !is_disturbed,
+            "a learner worked on it meanwhile; repeat the command when it has ended"
+        );
+        done
     }
 
     /// Refuses a run whose `starts.jsonl` has no line, a line of another run or a line without a build, or whose copy of the

@@ -17,7 +17,7 @@ use crate::process::shell;
 use crate::process::target::{self, Existing, Target};
 
 /// Longest name of a folder that file systems allow, bytes.
-const LONGEST_NAME: usize = 255;
+pub(crate) const LONGEST_NAME: usize = 255;
 
 /// Where new runs go by default.
 const RUNS: &str = "runs";
@@ -28,7 +28,7 @@ const LEARNER: &str = "http://127.0.0.1:50051";
 /// Refuses a folder that contains neither a run nor a checkpoint.
 pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
     RunFolder::demand_readable(folder).map_err(|why| Usage::new(why.to_string()))?;
-    let is_run = folder.join(CONFIG).is_file() || RunFolder::holds_run(folder);
+    let is_run = RunFolder::was_started(folder) || RunFolder::holds_run(folder);
     if is_run || checkpoint::is_checkpoint(folder) {
         return Ok(());
     }
@@ -229,6 +229,15 @@ impl NewFolder {
             let run = shell::path(&path);
             let why = format!(
                 "{shown} already contains a run; resume it with `s2mia train --resume {run}`, or name another folder in run.dir"
+            );
+            return Err(Usage::new(why).into());
+        }
+        if others == Others::Accepted
+            && let Some(file) = RunFolder::in_place_of_own(&path)?
+        {
+            let why = format!(
+                "{shown} has {} of no run, which this run would replace; move it away, or choose another run.dir",
+                name(&file)
             );
             return Err(Usage::new(why).into());
         }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow, ensure};
 use learner::lease::published;
 use learner::store::checkpoint::{CheckpointError, Loaded};
-use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder};
+use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder, STARTS};
 use learner::store::{checkpoint, plain_file};
 use policy::{PolicySnapshot, RunSeed};
 use proto::{AgentSpec, Digest, PolicyVersion, WeightsName};
@@ -18,6 +18,7 @@ use crate::config::run_config::RunConfig;
 use crate::process::shell;
 use crate::run::offered::RunEnvironment;
 use crate::run::pretrained;
+use crate::run::recorded::all_lines;
 use crate::run::run_path::demand_run;
 
 /// The file with the settings of the run in `folder`, and what it says: `config.toml`, or the newest checkpoint's copy if
@@ -168,14 +169,19 @@ pub(crate) fn demand_own_checkpoint(
     Ok(())
 }
 
-/// Refuses settings with another hash than the run's manifest records.
+/// Refuses settings with another hash than the run's manifest records, or the first line of its starts if it has none.
 fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
-    let recorded = RunFolder::recorded(folder);
+    let first = || all_lines(&folder.join(STARTS)).ok()?.into_iter().next();
+    let manifest = RunFolder::recorded(folder).map(|manifest| (MANIFEST, manifest));
+    let recorded = manifest.or_else(|| Some((STARTS, first()?)));
     let found = policy::arrays::hex(&config.resolved.sha256());
-    match recorded.as_ref().and_then(|manifest| manifest["config_sha256"].as_str()) {
-        Some(expected) if expected != found => {
+    let expected = recorded
+        .as_ref()
+        .and_then(|(name, record)| Some((name, record["config_sha256"].as_str()?)));
+    match expected {
+        Some((name, expected)) if expected != found => {
             let detail = format!(
-                "these are not the run's settings: their SHA-256 is {found}, {MANIFEST} has {expected}"
+                "these are not the run's settings: their SHA-256 is {found}, {name} has {expected}"
             );
             Err(ConfigError::at(file.display(), detail))
         }

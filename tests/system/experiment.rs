@@ -301,6 +301,7 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("study-preset-paper.toml", "18 runs, 18,000,000 steps", 18),
         ("study.toml", "180 runs, 180,000,000 steps", 180),
         ("study-hasac.toml", "20 runs, 2,000,000 steps", runs_in("docs/study-hasac.csv")),
+        ("study-hasac-ant.toml", "5 runs, 500,000 steps", runs_in("docs/study-hasac-ant.csv")),
         ("study-mujoco.toml", "117 runs, 117,000,000 steps", runs_in("docs/study-mujoco.csv")),
         (
             "study-mujoco-mappo.toml",

@@ -118,6 +118,26 @@ impl JsonLines {
     }
 }
 
+/// Moves whole lines of a file that are no JSON objects into one beside it.
+///
+/// # Errors
+/// Names the file if it cannot be read or written.
+pub(crate) fn move_damaged(path: &Path) -> Result<(), FileError> {
+    let text = match plain_file::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        bytes => bytes.map_err(FileError::of("read", path))?,
+    };
+    let lines = text[..durable::whole_lines(&text)].split_inclusive(|byte| *byte == b'\n');
+    let (whole, damaged): (Vec<&[u8]>, Vec<&[u8]>) =
+        lines.partition(|line| matches!(serde_json::from_slice(line), Ok(Value::Object(_))));
+    if damaged.is_empty() {
+        return Ok(());
+    }
+    let damaged: Vec<_> = damaged.iter().map(|line| line.trim_ascii_end()).collect();
+    move_away(path, &damaged, "damaged")?;
+    durable::replace(path, &whole.concat())
+}
+
 /// Moves these lines of a file into one beside it, and warns of them as lines of this `kind`.
 fn move_away(path: &Path, lines: &[&[u8]], kind: &str) -> Result<(), FileError> {
     if lines.is_empty() {

@@ -8,11 +8,12 @@ use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Write as _};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde_json::Value;
 
 use crate::store::durable::{self, FileError};
-use crate::store::{checkpoint, plain_file};
+use crate::store::{checkpoint, json_lines, plain_file};
 
 /// The resolved configuration.
 pub const CONFIG: &str = "config.toml";
@@ -33,6 +34,9 @@ pub const START_POLICIES: &str = "start_policies.safetensors";
 const LOCK: &str = "learner.lock";
 /// Where the learner of the latest start listened.
 const ADDRESS: &str = "address";
+/// Attempts to lock a folder, and the pause after one.
+const LOCK_ATTEMPTS: u32 = 50;
+const LOCK_PAUSE: Duration = Duration::from_millis(20);
 /// Manifest field: whether a result of an actor without a fingerprint counts, which may not be repeatable.
 const FOREIGN_ACTORS: &str = "foreign_actors";
 
@@ -144,6 +148,7 @@ impl RunFolder {
     /// Names the file that could not be written.
     pub fn begin(&self, config_toml: &str, start: &Value) -> Result<(), RunFolderError> {
         durable::replace(&self.file(CONFIG), config_toml.as_bytes())?;
+        json_lines::move_damaged(&self.file(STARTS))?;
         durable::append_line(&self.file(STARTS), &start.to_string())?;
         match self.manifest() {
             Ok(_) => Ok(()),
@@ -192,8 +197,8 @@ impl RunFolder {
     /// Where the learner that works on the folder at `path` listens; `None` if there is none.
     ///
     /// # Errors
-    /// Names a file that cannot be read, and a learner that does not listen yet.
-    pub fn listening(path: &Path) -> Result<Option<String>, RunFolderError> {
+    /// Names a file that cannot be read or is damaged, and a learner that does not listen yet.
+    pub fn listening(path: &Path) -> Result<Option<SocketAddr>, RunFolderError> {
         if !Self::is_locked(path)? {
             return Ok(None);
         }
@@ -207,7 +212,13 @@ impl RunFolder {
             }
             address => {
                 let address = address.map_err(FileError::of("read", &place))?;
-                Ok(Some(address.trim().to_owned()))
+                match address.trim().parse::<SocketAddr>() {
+                    Ok(address) => Ok(Some(address)),
+                    Err(_) => {
+                        let detail = "it holds no address; name the URL of the learner".to_owned();
+                        Err(RunFolderError::Damaged { path: place, detail })
+                    }
+                }
             }
         }
     }
@@ -269,13 +280,14 @@ impl RunFolder {
 
     fn lock(path: &Path) -> Result<Self, RunFolderError> {
         let folder = File::open(path).ok();
-        if folder.as_ref().is_some_and(|f| matches!(f.try_lock(), Err(TryLockError::WouldBlock))) {
+        let locked = folder.as_ref().map(|folder| patiently(|| folder.try_lock()));
+        if matches!(locked, Some(Err(TryLockError::WouldBlock))) {
             return Err(RunFolderError::in_use(path));
         }
         place::demand_plain(path)?;
         let place = path.join(LOCK);
         let mut lock = plain_file::append(&place).map_err(FileError::of("open", &place))?;
-        match lock.try_lock() {
+        match patiently(|| lock.try_lock()) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(RunFolderError::in_use(path)),
             Err(TryLockError::Error(error)) => return Err(place::not_lockable(&place, &error)),
@@ -311,6 +323,17 @@ impl RunFolder {
     fn manifest(&self) -> Result<Value, RunFolderError> {
         manifest::read(&self.file(MANIFEST))
     }
+}
+
+/// Tries to lock for a second: a command that looks whether the folder is locked holds a lock itself for a moment.
+fn patiently(lock: impl Fn() -> Result<(), TryLockError>) -> Result<(), TryLockError> {
+    for _ in 0..LOCK_ATTEMPTS {
+        match lock() {
+            Err(TryLockError::WouldBlock) => std::thread::sleep(LOCK_PAUSE),
+            done => return done,
+        }
+    }
+    lock()
 }
 
 /// Refuses `path` of a run whose semantic settings have the hash `found`, if this run's have another, `expected`.

@@ -182,7 +182,7 @@ fn every_file_of_the_program_may_also_be_given_as_a_file() {
 fn a_file_and_a_variable_are_refused_as_an_argument_is() {
     let message = of_file("[policy]\nlayers = 3\n", &[]).expect_err("refused").to_string();
     assert!(message.contains("mine.toml: `policy.layers` has no effect"), "{message}");
-    let environment = vec![("S2MIA__MADDPG__BATCH".to_owned(), "10".to_owned())];
+    let environment = vec![("S2MIA__MADDPG__BATCH".to_owned(), "10".into())];
     let request = Request { environment, ..Request::default() };
     let message = RunConfig::of(&request).expect_err("refused").to_string();
     assert!(

@@ -144,10 +144,22 @@ fn a_wrong_argument_is_refused_with_what_is_expected() {
 }
 
 #[test]
+fn a_variable_that_is_not_text_is_refused_and_an_empty_section_changes_nothing() {
+    use std::os::unix::ffi::OsStringExt as _;
+    let value = std::ffi::OsString::from_vec(b"we\xffird".to_vec());
+    let environment = vec![("S2MIA__RUN__DIR".to_owned(), value)];
+    let refusal = resolve(&Request { environment, ..Request::default() }).unwrap_err().to_string();
+    assert_eq!(refusal, "environment variable S2MIA__RUN__DIR: it is not UTF-8 text");
+    for text in ["[reward]\n", "[run]\n"] {
+        assert!(table_layer("file.toml", text).unwrap().values.is_empty(), "{text}");
+    }
+}
+
+#[test]
 fn a_variable_that_spells_a_setting_with_single_underscores_is_refused_and_another_programs_is_not()
 {
     let read = |name: &str| {
-        let environment = vec![(name.to_owned(), "3".to_owned())];
+        let environment = vec![(name.to_owned(), "3".into())];
         resolve(&Request { environment, ..Request::default() }).map_err(|error| error.to_string())
     };
     for (name, meant) in [

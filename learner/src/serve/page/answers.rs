@@ -34,15 +34,15 @@ pub(super) fn curves(shown: &ShownRun) -> Value {
 fn arrays(curves: &Curves) -> Map<String, Value> {
     let all = curves.iter().map(|(name, curve)| {
         let (steps, figures): (Vec<u64>, Vec<f64>) =
-            curve.points().map(|(steps, figure)| (steps, short(figure))).unzip();
+            curve.points().filter_map(|(steps, figure)| Some((steps, short(figure)?))).unzip();
         (name.to_owned(), json!([steps, figures]))
     });
     all.collect()
 }
 
-/// The figure in single precision. More digits would not be visible and would double the size of the response.
-fn short(figure: f64) -> f64 {
-    (figure as f32).to_string().parse().unwrap_or(f64::NAN)
+/// The figure in single precision, if that can hold it. More digits would not be visible and would double the size of the response.
+fn short(figure: f64) -> Option<f64> {
+    (figure as f32).to_string().parse().ok().filter(|short: &f64| short.is_finite())
 }
 
 /// Constants of a run, or why they cannot be read.

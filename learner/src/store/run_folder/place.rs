@@ -1,7 +1,7 @@
 //! Where a run may begin: outside other runs, and in a folder without files of others or links in the place of its own;
 //! and whether that is still the folder that this process locked.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -37,6 +37,12 @@ impl RunFolder {
     pub fn holds_run(path: &Path) -> bool {
         (path.join(MANIFEST).exists() || checkpoint::folder(path).exists())
             && !checkpoint::is_checkpoint(path)
+    }
+
+    /// Whether the folder has the settings of a run that a learner began, with or without a manifest.
+    #[must_use]
+    pub fn was_started(path: &Path) -> bool {
+        path.join(CONFIG).is_file() && [LOCK, STARTS].iter().any(|name| path.join(name).exists())
     }
 
     /// Refuses a folder in which this user cannot look for a run.
@@ -117,6 +123,18 @@ impl RunFolder {
         };
         Ok(names.into_iter().find(|name| !is_left(name)).map(|name| path.join(name)))
     }
+
+    /// A file or folder in `path` that a run would replace although no run left it there.
+    ///
+    /// # Errors
+    /// Names the folder if it cannot be read.
+    pub fn in_place_of_own(path: &Path) -> Result<Option<PathBuf>, FileError> {
+        let names = entries(path)?;
+        let started = names.iter().any(|name| name == LOCK);
+        let is_replaced =
+            |name: &&OsString| !started && is_own(name) && !is_actors_logs(path, name);
+        Ok(names.iter().find(is_replaced).map(|name| path.join(name)))
+    }
 }
 
 /// Refuses links, pipes and devices in the place of the run's own files.
@@ -169,7 +187,7 @@ fn is_actors_logs(folder: &Path, name: &OsStr) -> bool {
 }
 
 /// Names in a folder, sorted; none if it does not exist, unless its path is that of a broken link.
-fn entries(folder: &Path) -> Result<Vec<std::ffi::OsString>, FileError> {
+fn entries(folder: &Path) -> Result<Vec<OsString>, FileError> {
     let listed = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             let broken = durable::broken_link(folder).map(FileError::of("read", folder));

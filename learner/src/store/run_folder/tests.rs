@@ -33,7 +33,7 @@ fn a_folder_says_where_its_learner_listens_while_it_does() {
     let run = RunFolder::claim_new(folder.path()).unwrap();
     run.note_address("127.0.0.1:50051".parse().unwrap()).unwrap();
     let found = RunFolder::listening(folder.path()).unwrap();
-    assert_eq!(found.as_deref(), Some("127.0.0.1:50051"));
+    assert_eq!(found, Some("127.0.0.1:50051".parse().unwrap()));
     drop(run);
     assert_eq!(RunFolder::listening(folder.path()).unwrap(), None);
 }
@@ -51,7 +51,63 @@ fn a_learner_that_starts_does_not_listen_where_an_earlier_one_did() {
     ));
     run.note_address("127.0.0.1:50052".parse().unwrap()).unwrap();
     let found = RunFolder::listening(folder.path()).unwrap();
-    assert_eq!(found.as_deref(), Some("127.0.0.1:50052"));
+    assert_eq!(found, Some("127.0.0.1:50052".parse().unwrap()));
+}
+
+#[test]
+fn a_place_that_holds_no_address_is_named() {
+    let folder = tempdir().unwrap();
+    let _run = begun(folder.path());
+    for text in ["", "garbage", "http://127.0.0.1:7"] {
+        fs::write(folder.path().join(ADDRESS), text).unwrap();
+        let error = RunFolder::listening(folder.path()).unwrap_err().to_string();
+        assert!(
+            error.ends_with("address is damaged: it holds no address; name the URL of the learner")
+        );
+    }
+}
+
+#[test]
+fn a_look_at_a_folder_does_not_keep_a_learner_from_it() {
+    let folder = tempdir().unwrap();
+    drop(begun(folder.path()));
+    let looking = fs::File::open(folder.path()).unwrap();
+    looking.try_lock_shared().unwrap();
+    let look = move || {
+        std::thread::sleep(Duration::from_millis(100));
+        drop(looking);
+    };
+    let looked = std::thread::Builder::new().name("look".into()).spawn(look).unwrap();
+    resumed(folder.path()).unwrap();
+    looked.join().unwrap();
+}
+
+#[test]
+fn a_start_moves_damaged_lines_of_earlier_ones_away() {
+    let folder = tempdir().unwrap();
+    drop(begun(folder.path()));
+    let starts = folder.path().join(STARTS);
+    let whole = fs::read_to_string(&starts).unwrap();
+    fs::write(&starts, format!("\u{feff}{whole}{whole}")).unwrap();
+    resumed(folder.path()).unwrap().begin("", &start()).unwrap();
+    assert_eq!(fs::read_to_string(&starts).unwrap(), whole.repeat(2));
+    let damaged = fs::read_to_string(folder.path().join("starts.jsonl.damaged")).unwrap();
+    assert_eq!(damaged, format!("\u{feff}{whole}"));
+}
+
+#[test]
+fn files_of_others_with_a_runs_names_are_known_until_a_run_begins() {
+    let folder = tempdir().unwrap();
+    let path = folder.path();
+    assert_eq!(RunFolder::in_place_of_own(path).unwrap(), None);
+    fs::write(path.join("thesis.tex"), "").unwrap();
+    assert_eq!(RunFolder::in_place_of_own(path).unwrap(), None);
+    fs::write(path.join(CONFIG), "mine").unwrap();
+    assert_eq!(RunFolder::in_place_of_own(path).unwrap(), Some(path.join(CONFIG)));
+    assert!(!RunFolder::was_started(path));
+    drop(RunFolder::claim_new(path).unwrap());
+    assert_eq!(RunFolder::in_place_of_own(path).unwrap(), None);
+    assert!(RunFolder::was_started(path));
 }
 
 #[test]
