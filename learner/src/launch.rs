@@ -94,6 +94,10 @@ impl Launch {
         let mut observations = ObservationMoments::new(self.observations, &problem);
         if let Some(bytes) = &self.start {
             let policies = PolicySnapshot::from_bytes(bytes).map_err(MarlError::from)?;
+            let floor = self.policy.sigma_floor;
+            let agents = policies.agents.iter().map(|agent| agent.with_sigma_from(floor));
+            let agents = agents.collect::<Result<_, _>>().map_err(MarlError::from)?;
+            let policies = PolicySnapshot { agents };
             marl::start_from(algorithm.as_mut(), &policies)?;
             observations.start_from(&policies)?;
         }

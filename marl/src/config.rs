@@ -248,7 +248,7 @@ impl CriticConfig {
 
     fn validate(&self) -> Result<(), SettingError> {
         between("critic.layers", self.layers, 1, 16)?;
-        between("critic.width", self.width, 1, WIDEST)?;
+        between("critic.width", self.width, 2, WIDEST)?;
         learning_rate("critic.learning_rate", self.learning_rate)?;
         between("critic.epochs", self.epochs, 1, MOST_PASSES)?;
         between("critic.minibatches", self.minibatches, 1, MOST_PASSES)?;

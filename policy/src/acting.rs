@@ -11,6 +11,7 @@ use rand::RngCore;
 
 use crate::acting::reader::Reader;
 pub use crate::acting::spec::ActorSpec;
+pub(crate) use crate::acting::spec::{LOG_STD, raise_log_std};
 use crate::arrays::{Array, NamedArrays};
 use crate::config::{CoreKind, InputNorm, PolicyConfig};
 use crate::error::PolicyError;
@@ -89,7 +90,7 @@ impl ActorPolicy {
             (_, Some(sigma)) => vec![sigma; spec.action],
             (Head::Categorical { .. } | Head::TanhGaussian { .. }, None) => Vec::new(),
             (_, None) => {
-                let log_std = reader.array("head.log_std", &[spec.action])?;
+                let log_std = reader.array(LOG_STD, &[spec.action])?;
                 log_std.iter().map(|&x| kernels::sigmoid(x) * spec.sigma_scale).collect()
             }
         };
@@ -173,6 +174,18 @@ impl ActorPolicy {
     #[must_use]
     pub fn sigma(&self) -> &[f32] {
         &self.sigma
+    }
+
+    /// The same policy with every sigma at least `floor`, as an optimiser step leaves it in a run with that floor.
+    ///
+    /// # Errors
+    /// None for a `floor` that settings may have.
+    pub fn with_sigma_from(&self, floor: f32) -> Result<Self, PolicyError> {
+        let mut arrays = self.arrays.clone();
+        if let Some(Array::F32 { data, .. }) = arrays.get_mut(LOG_STD) {
+            raise_log_std(data, floor.into(), self.spec.sigma_scale());
+        }
+        Self::new(self.spec.clone(), arrays)
     }
 
     /// The same network with actions drawn uniformly from its action range; it keeps no outputs for deviations.

@@ -88,7 +88,8 @@ impl PolicyConfig {
             ("policy.hidden", self.hidden),
             ("policy.width", self.width),
         ] {
-            between(key, size, 1, 4096)?;
+            // The layer norm of a single unit is 0.
+            between(key, size, 2, 4096)?;
         }
         between("policy.layers", self.layers, 1, 16)?;
         between("policy.backpropagation_steps", self.backpropagation_steps, 1, 10_000)?;

@@ -3,7 +3,7 @@
 use candle_core::{Device, Tensor, Var};
 use rand::RngCore;
 
-use crate::acting::{ActorPolicy, ActorSpec};
+use crate::acting::{ActorPolicy, ActorSpec, LOG_STD, raise_log_std};
 use crate::categorical::Categorical;
 use crate::config::PolicyConfig;
 use crate::error::PolicyError;
@@ -61,7 +61,7 @@ impl ActorNetwork {
         let log_std = match head {
             Head::Gaussian | Head::SharedGaussian(_) => {
                 let start = Tensor::full(config.initial_log_std(), action, &Device::Cpu)?;
-                Some(parameters.add("head.log_std", start)?)
+                Some(parameters.add(LOG_STD, start)?)
             }
             Head::Categorical { .. } | Head::Deterministic { .. } | Head::Uniform { .. } => None,
             Head::TanhGaussian { .. } => {
@@ -205,10 +205,7 @@ impl ActorNetwork {
 /// # Errors
 /// Passes on a tensor error.
 pub fn project_sigma(log_std: &Var, floor: f64, scale: f64) -> Result<(), PolicyError> {
-    let share = floor / scale;
-    let lowest = libm::log(share / (1.0 - share));
-    let values = log_std.as_tensor().to_vec1::<f32>()?;
-    let raise = |value: f32| if f64::from(value) < lowest { lowest as f32 } else { value };
-    let raised = values.into_iter().map(raise);
-    Ok(log_std.set(&Tensor::from_iter(raised, &Device::Cpu)?)?)
+    let mut values = log_std.as_tensor().to_vec1::<f32>()?;
+    raise_log_std(&mut values, floor, scale);
+    Ok(log_std.set(&Tensor::from_iter(values, &Device::Cpu)?)?)
 }

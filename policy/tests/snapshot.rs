@@ -181,3 +181,17 @@ fn bytes_that_are_no_snapshot_are_refused_without_a_panic() {
     huge[..8].copy_from_slice(&u64::MAX.to_le_bytes());
     assert!(PolicySnapshot::from_bytes(&huge).is_err());
 }
+
+#[test]
+fn sigma_is_raised_to_a_floor_and_not_lowered() {
+    let policy = agent(CoreKind::Mlp, 2, Head::Gaussian);
+    let initial = policy.sigma()[0];
+    for (floor, expected) in [(0.5 * initial, initial), (1.1 * initial, 1.1 * initial)] {
+        let raised = policy.with_sigma_from(floor).unwrap();
+        for sigma in raised.sigma() {
+            assert!((sigma - expected).abs() < 1e-6, "{floor}: {sigma}");
+        }
+    }
+    let squashed = squashed();
+    assert_eq!(squashed.with_sigma_from(0.4).unwrap().arrays(), squashed.arrays());
+}

@@ -172,6 +172,17 @@ impl ActorSpec {
     }
 }
 
+/// Name of the array of `log_std`, where `sigma = sigmoid(log_std) * sigma_scale`.
+pub(crate) const LOG_STD: &str = "head.log_std";
+
+/// Raises `log_std` so that sigma is at least `floor`, which must be below `scale`.
+pub(crate) fn raise_log_std(values: &mut [f32], floor: f64, scale: f64) {
+    let share = floor / scale;
+    let lowest = libm::log(share / (1.0 - share));
+    let low = values.iter_mut().filter(|value| f64::from(**value) < lowest);
+    low.for_each(|value| *value = lowest as f32);
+}
+
 /// What determines the shapes of the weights and the meaning of the outputs.
 impl fmt::Display for ActorSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

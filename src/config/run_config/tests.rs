@@ -131,7 +131,7 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         ("policy.hidden=0", "policy.hidden"),
         (
             "critic.width=9223372036854775807",
-            "critic.width = 9223372036854775807 is out of range: 1 to 4096",
+            "critic.width = 9223372036854775807 is out of range: 2 to 4096",
         ),
         ("critic.layers=17", "critic.layers = 17 is out of range: 1 to 16"),
         ("critic.minibatches=65537", "critic.minibatches"),
