@@ -9,6 +9,7 @@ mod hostile;
 mod integrators;
 mod invalid;
 mod loaded;
+mod motions;
 mod one_document;
 mod other_roots;
 mod places;

@@ -78,6 +78,9 @@ pub(super) fn overlay(actuator: &mut Element, top: &Element, law: &Element) {
     if ["position", "intvelocity"].contains(&top.tag.as_str()) {
         actuator.attributes.remove("actearly");
     }
+    if top.tag == "intvelocity" {
+        actuator.attributes.remove("actlimited");
+    }
     let inherits = top.text("inheritrange").is_some() && law.text("inheritrange").is_some();
     match top.tag.as_str() {
         "position" if inherits => actuator.attributes.remove("ctrlrange"),

@@ -71,6 +71,14 @@ impl Layout {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];
             hinge.axis_inverse_inertia = hinge.inverse_inertia;
         }
+        let links = blueprint.links.iter().zip(&self.joints);
+        for (plan, joint) in links.filter(|(plan, _)| plan.is_slider) {
+            // But for `dampratio`, MuJoCo leaves `armature` out of the inverse of such a slide.
+            let slide = self.hinges.iter_mut().find(|hinge| hinge.link == joint.link);
+            if let Some(slide) = slide {
+                slide.inverse_inertia = plan.mass.inv_mass;
+            }
+        }
         for ball in &self.balls {
             let rotations = &mut self.hinges[ball.first..ball.first + 3];
             let mean = inverse_inertias.rows(rotations[0].dof, 3).mean();

@@ -193,7 +193,11 @@ fn on_site(
     let (link, home) = links.homes[body];
     let fixed = "its site is fixed to the world, where nothing moves; name a site of a moving body";
     let moves = link.filter(|link| !links.plans[*link].is_base());
-    let link = moves.ok_or_else(|| element.refuse_for("site", fixed))?;
+    // Without a reason of its own if a joint of the body is refused.
+    let refusal = || {
+        if bodies[body].is_static { element.refuse_for("site", fixed) } else { String::new() }
+    };
+    let link = moves.ok_or_else(refusal)?;
     let site = home * frame.pose();
     let [x, y, z, roll, pitch, yaw] = element.padded("gear", GEAR)?;
     let turn = site.rotation.as_dquat();
@@ -348,14 +352,18 @@ fn activation(
     context: &Context,
 ) -> Result<Option<Activation>, String> {
     let is_summed = element.text("dyntype") == Some("integrator");
-    let range = driven.range_of(element, ["actrange", "actlimited"], (law, is_summed), context)?;
     let kinds = [
         ("none", None),
         ("integrator", Some(ActivationKind::Integrator)),
         ("filter", Some(ActivationKind::Filter)),
         ("filterexact", Some(ActivationKind::FilterExact)),
     ];
-    let kind = match (element.word("dyntype", &kinds)?, range) {
+    let kind = element.word("dyntype", &kinds)?;
+    if kind.is_none() && element.text("actrange").is_none() {
+        return Ok(None);
+    }
+    let range = driven.range_of(element, ["actrange", "actlimited"], (law, is_summed), context)?;
+    let kind = match (kind, range) {
         (Some(kind), _) => kind,
         (None, None) => return Ok(None),
         (None, Some(_)) => {

@@ -30,6 +30,8 @@ pub(super) struct Body {
     pub(super) parent: usize,
     /// Frame in the parent.
     pub(super) frame: Frame,
+    /// The same without the `frame` elements around the body, where MuJoCo has the mass centre of a body without a mass.
+    pub(super) stated: Frame,
     /// Whether no joint is between the body and the world.
     pub(super) is_static: bool,
     /// Share of the body's weight that a constant force carries.
@@ -99,6 +101,7 @@ fn new_body(element: &Element, name: String, parent: usize, frame: Frame) -> Bod
         element: element.alone(),
         parent,
         frame,
+        stated: frame,
         is_static: true,
         carried: 0.0,
         joints: Vec::new(),
@@ -184,7 +187,9 @@ fn add_body(
     let index = bodies.len();
     let name = element.text("name").map_or_else(|| format!("body {index}"), str::to_owned);
     let own = context.blockers.keep(context.options.angles.frame(element));
-    let mut body = new_body(element, name, parent, frame.then(&own.unwrap_or(IDENTITY)));
+    let own = own.unwrap_or(IDENTITY);
+    let mut body = new_body(element, name, parent, frame.then(&own));
+    body.stated = own;
     body.carried = context.blockers.keep(element.number("gravcomp", 0.0)).unwrap_or_default();
     bodies.push(body);
     let childclass = element.text("childclass").or(childclass);
@@ -197,10 +202,12 @@ fn add_body(
     Ok(())
 }
 
-/// Mass and inertia that `inertial` states, in the body's frame; `None` if those of the shapes count.
+/// Mass and inertia that `inertial` states, in the body's frame; `None` if those of the shapes count, of which one must weigh.
 pub(super) fn stated_inertia(body: &Body, options: &Options) -> Result<Option<Solid>, String> {
+    let weighs = |geom: &Geom| geom.weighs() && !geom.is_ground();
     match (&body.inertial, options.mass_source) {
-        (_, MassSource::Shapes) | (None, MassSource::Stated) => Ok(None),
+        (_, MassSource::Shapes) if body.geoms.iter().any(weighs) => Ok(None),
+        (None, MassSource::Shapes | MassSource::Stated) => Ok(None),
         (Some((element, frame)), _) => read_inertial(element, frame, options).map(Some),
         (None, MassSource::Inertials) => Ok(Some(Solid::default())),
     }

@@ -32,6 +32,8 @@ const MARK: &str = "0 0 0 0.001 0 0 0 0.001 0 0 0 0.001";
 struct Rest {
     /// Attributes of the mass and inertia to state; `None` if the document states or implies them without meshes.
     inertial: Option<BTreeMap<String, String>>,
+    /// Whether an `inertial` of the document counts; not where the shapes decide.
+    is_stated: bool,
     /// For each shape of the body, in order.
     shapes: VecDeque<Kept>,
 }
@@ -67,7 +69,8 @@ pub(in super::super) fn flat(mjcf: &str, folder: &mut Folder<'_>) -> Result<Stri
         let weighs = index > 0 && (!body.is_static || matters);
         let inertial =
             if weighs { inertia((bodies.as_slice(), index), &mut context, folder)? } else { None };
-        rests.push(Rest { inertial, shapes });
+        let is_stated = !matches!(bodies::stated_inertia(body, &context.options), Ok(None));
+        rests.push(Rest { inertial, is_stated, shapes });
     }
     mark_base(&bodies, &mut rests, &mut hulls);
     let source = context.options.mass_source;
@@ -274,8 +277,7 @@ fn rewrite(
             "camera" | "light" => continue,
             "site" if !child.text("name").is_some_and(is_used) => continue,
             "site" => drop(child.attributes.remove("material")),
-            // Where the shapes decide, an `inertial` of the document counts for nothing.
-            "inertial" if context.options.mass_source == MassSource::Shapes => continue,
+            "inertial" if !rests[own].is_stated => continue,
             "geom" => match rests[own].shapes.pop_front() {
                 Some(Kept::Nothing) | None => continue,
                 Some(Kept::Whole) => drop(child.attributes.remove("material")),

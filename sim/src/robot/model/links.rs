@@ -69,7 +69,7 @@ pub(super) fn read<'a>(
             0 => (parent, inside),
             _ => (Some(links.plans.len() - 1), Pose::IDENTITY),
         };
-        links.mass_centres.push(home.1 * body.frame.pose().translation);
+        links.mass_centres.push(home.1 * body.stated.pose().translation);
         if let Some(link) = home.0 {
             links.add_parts((index, body), link, &home.1, (&mut *context, &mut *folder));
         }
@@ -193,7 +193,7 @@ impl<'a> Links<'a> {
         }
         let found = || sum(&solids).axes_from(stated.unwrap_or(frame.rotation));
         let principal = stated.filter(|_| body.states_moments()).or(axes).unwrap_or_else(found);
-        let empty = *frame * body.frame.pose();
+        let empty = *frame * body.stated.pose();
         let solids = bounded(solids, &empty, context.options.least);
         solids.iter().for_each(|solid| self.masses[link].add(solid));
         let own = sum(&solids);
@@ -221,7 +221,9 @@ impl<'a> Links<'a> {
             let mut own = self.plans.iter().zip(&self.bodies).filter(|(_, of)| is_own(of));
             let slides = own.all(|(plan, _)| {
                 let hinge = plan.hinge().filter(|hinge| hinge.is_slide());
-                hinge.is_some_and(|hinge| hinge.axis.frame == Rotation::IDENTITY)
+                hinge.is_some_and(|hinge| {
+                    hinge.axis.frame == Rotation::IDENTITY && hinge.anchor == Vector::ZERO
+                })
             });
             let is_near_world = parent.is_static && parent.parent == 0;
             let is_slider = is_near_world && slides && !body.joints.is_empty();

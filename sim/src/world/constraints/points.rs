@@ -39,6 +39,11 @@ pub(super) fn touch(
         manifolds.extend(cylinder_on_plane(sizes, &(*between * *inside), between, margin));
         return;
     }
+    let is_at_plane = one.as_halfspace().is_some() && between.translation.z.abs() < SAME_POINT;
+    if let Some(ball) = other.as_ball().filter(|_| is_at_plane) {
+        manifolds.push(ball_in_plane(ball.radius, between));
+        return;
+    }
     // The engine has no contacts for a plane with another plane, which do not meet.
     let _ =
         DefaultQueryDispatcher.contact_manifolds(between, one, other, margin, manifolds, &mut None);
@@ -63,6 +68,17 @@ fn hull_on_plane(hull: &Convex, between: &Pose, margin: f32) -> ContactManifold<
         let below = Vector::new(place.x, place.y, 0.0);
         manifold.points.push(TrackedContact::new(below, corner, id, id, place.z));
     });
+    manifold
+}
+
+/// The contact of a plane with a ball whose centre is on it, where the engine has another normal.
+fn ball_in_plane(radius: f32, between: &Pose) -> ContactManifold<(), ()> {
+    let mut manifold = ContactManifold::new();
+    manifold.local_n1 = Vector::Z;
+    let place = between.translation;
+    let lowest = between.rotation.inverse() * (Vector::Z * -radius);
+    let (below, side) = (Vector::new(place.x, place.y, 0.0), PackedFeatureId::face(0));
+    manifold.points.push(TrackedContact::new(below, lowest, side, side, place.z - radius));
     manifold
 }
 
@@ -122,15 +138,20 @@ pub(super) fn touch_field(
     manifolds.extend(prisms.filter_map(deepest).take(MOST_IN_FIELD));
 }
 
-/// Whether another point is in the place of the point `index`. The engine appends the deepest point of two shapes to those in
-/// which their features touch, of which one is as deep unless the features miss each other.
+/// Whether another point, at least as deep, is in the place of the point `index`. The engine appends the deepest point of two
+/// shapes to those in which their features touch, of which one is as deep unless the features miss each other. Of a capsule that
+/// stands on a face, both ends are in one place.
 pub(super) fn is_repeated(points: &[TrackedContact<()>], index: usize) -> bool {
     let point = &points[index];
     let is_appended = [point.fid1, point.fid2] == [PackedFeatureId::UNKNOWN; 2];
-    points[..index].iter().any(|other| {
-        (other.local_p1 - point.local_p1).length() < SAME_POINT
+    let is_there =
+        |other: &TrackedContact<()>| (other.local_p1 - point.local_p1).length() < SAME_POINT;
+    let is_repeated = points[..index].iter().any(|other| {
+        (is_there(other) && other.dist <= point.dist + SAME_POINT)
             || (is_appended && index + 1 == points.len() && other.dist < point.dist + SAME_POINT)
-    })
+    });
+    let is_deeper = |other: &TrackedContact<()>| other.dist < point.dist - SAME_POINT;
+    is_repeated || points[index + 1..].iter().any(|other| is_there(other) && is_deeper(other))
 }
 
 /// MuJoCo's frame of a contact: the normal, and two tangents, the first of them along `along` as far as possible.

@@ -55,9 +55,7 @@ pub(super) fn touch_capsules(
     let contact = |points| touch_balls(points, radii, between, margin);
     if are_parallel(&first, &second) {
         manifolds.clear();
-        let ends = [first.b, first.a].map(|end| [end, nearest(&point(end), &second)[1]]);
-        let others = [second.b, second.a].map(|end| [nearest(&first, &point(end))[0], end]);
-        manifolds.extend(ends.into_iter().chain(others).filter_map(contact).take(2));
+        manifolds.extend(parallel_ends(&first, &second).into_iter().filter_map(contact));
         return;
     }
     let points = nearest(&first, &second);
@@ -75,6 +73,27 @@ pub(super) fn touch_capsules(
     if !is_right {
         manifolds.clear();
         manifolds.extend(contact(points));
+    }
+}
+
+/// The nearest points of two parallel axes at both ends of the part in which they are beside each other, the end of the first axis
+/// first; twice those of the nearest ends if there is no such part.
+fn parallel_ends(first: &Segment, second: &Segment) -> [[Vector; 2]; 2] {
+    let axis = (first.b - first.a).as_dvec3();
+    let along = |end: Vector| (end - first.a).as_dvec3().dot(axis) / axis.length_squared();
+    let mut ends = [second.a, second.b];
+    if along(ends[0]) > along(ends[1]) {
+        ends.swap(0, 1);
+    }
+    let [low, high] = ends;
+    let of_first = |end: Vector| [end, nearest(&point(end), second)[1]];
+    let of_second = |end: Vector| [nearest(first, &point(end))[0], end];
+    let upper = if along(high) >= 1.0 { of_first(first.b) } else { of_second(high) };
+    let lower = if along(low) <= 0.0 { of_first(first.a) } else { of_second(low) };
+    match (along(low) > 1.0, along(high) < 0.0) {
+        (true, _) => [upper; 2],
+        (_, true) => [lower; 2],
+        _ => [upper, lower],
     }
 }
 
