@@ -254,7 +254,8 @@ impl CriticConfig {
         between("critic.minibatches", self.minibatches, 1, MOST_PASSES)?;
         not_negative("critic.clip", self.clip)?;
         positive("critic.huber_delta", self.huber_delta)?;
-        within("critic.normalizer_beta", self.normalizer_beta, 0.0..1.0, "0 <= beta < 1")?;
+        // Above it the weight of the first update is below the bound of `ValueNormalizer`.
+        within("critic.normalizer_beta", self.normalizer_beta, 0.0..=0.99999, "0 to 0.99999")?;
         positive("critic.max_gradient_norm", self.max_gradient_norm)
     }
 }
