@@ -84,31 +84,23 @@ pub(crate) fn plan(file: &ExperimentFile) -> anyhow::Result<Vec<PlannedRun>> {
         }
     }
     demand_own_folders(file, &runs)?;
-    demand_short_names(file, &runs)?;
     Ok(runs)
 }
 
-/// Refuses a run whose log would have a longer name than file systems accept.
-fn demand_short_names(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), Usage> {
-    let is_long =
-        |run: &&PlannedRun| run.log().file_name().is_some_and(|name| name.len() > LONGEST_NAME);
-    let Some(run) = runs.iter().find(is_long) else { return Ok(()) };
-    let place = file.path.display();
-    Err(Usage::new(format!(
-        "{place}: the variant {} has too long a name for its runs' files",
-        run.variant
-    )))
-}
-
-/// Refuses two runs with one folder: tasks of different spelling, or a task and a variant together, can have the same names.
+/// Refuses two runs with one folder: tasks of different spelling, or a task and a variant together, can have the same names. Also
+/// a run whose log has too long a name.
 fn demand_own_folders(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), Usage> {
+    let place = file.path.display();
     let mut known = BTreeMap::new();
     for run in runs {
+        if run.log().file_name().is_some_and(|name| name.len() > LONGEST_NAME) {
+            let why = format!("{place}: the variant {} has too long a name", run.variant);
+            return Err(Usage::new(why));
+        }
         if let Some(first) = known.insert(&run.folder, run) {
             let shown = |run: &PlannedRun| format!("task \"{}\" with {}", run.asked, run.variant);
             return Err(Usage::new(format!(
-                "{}: {} and {} would share the folder {}; leave one out, or rename a robot, partition or variant",
-                file.path.display(),
+                "{place}: {} and {} would share the folder {}; leave one out, or rename a robot, partition or variant",
                 shown(first),
                 shown(run),
                 run.name(),
