@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use anyhow::Context as _;
-use learner::store::run_folder::{CONFIG, RunFolder, STARTS};
+use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder, STARTS};
 use learner::store::{checkpoint, durable, plain_file};
 use sim::spelling::nearest;
 use time::OffsetDateTime;
@@ -42,7 +42,10 @@ pub(crate) fn demand_run(folder: &Path) -> Result<(), Usage> {
             format!("`{shown}` is no run folder, but in the run {}; name that", run.display())
         }
         None if !folder.exists() => format!("there is no run folder `{shown}`{}", meant()),
-        None => format!("`{shown}` is no run folder: it has no {CONFIG}"),
+        None => {
+            let missing = if folder.join(CONFIG).is_file() { MANIFEST } else { CONFIG };
+            format!("`{shown}` is no run folder: it has no {missing}")
+        }
     }))
 }
 

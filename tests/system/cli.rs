@@ -162,6 +162,10 @@ fn a_run_without_a_checkpoint_is_reported_with_the_command_that_restarts_it() {
     let settings = succeeded(&["config", "cue-2x1", "run.iterations=3"]);
     std::fs::write(folder.join("config.toml"), settings).unwrap();
     let path = text(&folder);
+    let line = failed(&["status", path], 2);
+    assert!(line.contains("is no run folder: it has no manifest.json"), "{line}");
+    // A learner that is killed before its first checkpoint leaves this file.
+    std::fs::write(folder.join("learner.lock"), "").unwrap();
     let again = format!("`s2mia train --resume {path}` begins it again");
     let line = format!("{path} stopped before its first checkpoint; {again}\n");
     assert_eq!(succeeded(&["status", path]), line);
