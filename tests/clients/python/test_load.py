@@ -319,6 +319,8 @@ def test_a_folder_without_policies_is_refused(trained, tmp_path):
     with pytest.raises(s2mia.RunError, match="^`` is neither a folder nor a task with a trained team; "):
         s2mia.load("")
     shutil.copy(trained / "config.toml", tmp_path)
+    assert refused(tmp_path) == "`PATH` is no run folder: it has no manifest.json"
+    shutil.copy(trained / "starts.jsonl", tmp_path)
     assert refused(tmp_path).startswith("PATH has no checkpoint yet; ")
 
 
