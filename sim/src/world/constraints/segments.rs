@@ -80,6 +80,10 @@ pub(super) fn touch_capsules(
 /// first; twice those of the nearest ends if there is no such part.
 fn parallel_ends(first: &Segment, second: &Segment) -> [[Vector; 2]; 2] {
     let axis = (first.b - first.a).as_dvec3();
+    // Single precision may round a short axis to a point.
+    if axis.length_squared() == 0.0 {
+        return [nearest(first, second); 2];
+    }
     let along = |end: Vector| (end - first.a).as_dvec3().dot(axis) / axis.length_squared();
     let mut ends = [second.a, second.b];
     if along(ends[0]) > along(ends[1]) {
