@@ -185,8 +185,7 @@ pub(crate) fn reachable(address: SocketAddr) -> SocketAddr {
         IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
         IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
     };
-    let ip = if address.ip().is_unspecified() { loopback } else { address.ip() };
-    SocketAddr::new(ip, address.port())
+    if address.ip().is_unspecified() { SocketAddr::new(loopback, address.port()) } else { address }
 }
 
 /// The token in `S2MIA_TOKEN`, if the variable is set.
@@ -336,6 +335,7 @@ mod tests {
             ("[::]:50051", "[::1]:50051"),
             ("10.0.0.5:50051", "10.0.0.5:50051"),
             ("[::1]:50051", "[::1]:50051"),
+            ("[fe80::1%2]:50051", "[fe80::1%2]:50051"),
         ] {
             assert_eq!(reachable(address.parse().unwrap()).to_string(), expected);
         }

@@ -94,8 +94,10 @@ fn demand_own_folders(file: &ExperimentFile, runs: &[PlannedRun]) -> Result<(), 
     let mut known = BTreeMap::new();
     for run in runs {
         if run.log().file_name().is_some_and(|name| name.len() > LONGEST_NAME) {
-            let why = format!("{place}: the variant {} has too long a name", run.variant);
-            return Err(Usage::new(why));
+            return Err(Usage::new(format!(
+                "{place}: the log of {} would have a name of more than {LONGEST_NAME} bytes; shorten the variant's name",
+                run.name()
+            )));
         }
         if let Some(first) = known.insert(&run.folder, run) {
             let shown = |run: &PlannedRun| format!("task \"{}\" with {}", run.asked, run.variant);

@@ -53,7 +53,10 @@ pub(super) fn stop(learner: &LearnerArgument) -> anyhow::Result<()> {
         let run = shell::path(Path::new(of));
         anyhow::bail!("no learner works on {of}; `s2mia status {run}` says how far it came");
     };
-    token_for_run(Path::new(of)).context("SIGTERM to the learner's process also stops it")?;
+    if let Err(why) = token_for_run(Path::new(of)) {
+        let why = actor::causes(why.as_ref());
+        anyhow::bail!("{why}; SIGTERM to the learner's process also stops it");
+    }
     let stopped =
         async { operator(&url, learner).await?.stop().await.map_err(anyhow::Error::from) };
     let stopped = answered(stopped, &learner.tls, learner.timeout_secs);

@@ -227,7 +227,7 @@ impl FollowedRun {
         let name = run_path::file_name(self.metrics.path()).unwrap_or_default();
         let trouble = self.error.clone().or(damage).map(|why| format!("{name}: {why}"));
         let gone = || format!("{} is gone", self.folder.display());
-        if self.folder.exists() { trouble } else { Some(gone()) }
+        if matches!(self.folder.try_exists(), Ok(false)) { Some(gone()) } else { trouble }
     }
 
     /// Reads what is new. Metrics that cannot be read are tried again; each new reason is reported once.

@@ -28,6 +28,8 @@ pub(crate) type Lines = BTreeMap<u64, Value>;
 pub(crate) struct Recorded {
     /// Folder of the run.
     pub(crate) folder: PathBuf,
+    /// Content of `starts.jsonl`, to which each start of a learner adds a line.
+    starts: Option<Vec<u8>>,
     /// Content of `manifest.json`.
     pub(crate) manifest: Value,
     /// Its settings.
@@ -48,6 +50,7 @@ impl Recorded {
     /// # Errors
     /// Names the first file that is missing, damaged or does not belong to the others, or the learner that works on the run.
     pub(crate) fn read(folder: &Path) -> anyhow::Result<Self> {
+        let starts = starts(folder);
         RunFolder::demand_unused(folder)?;
         let manifest = RunFolder::recorded(folder).with_context(|| {
             let file = folder.join(MANIFEST);
@@ -70,7 +73,7 @@ impl Recorded {
         // That of iteration 0 holds no more than the seed.
         checkpoints.retain(|iteration| *iteration > 0);
         let folder = folder.to_path_buf();
-        Ok(Self { folder, manifest, config, provenance, metrics, evaluations, checkpoints })
+        Ok(Self { folder, starts, manifest, config, provenance, metrics, evaluations, checkpoints })
     }
 
     /// Does `work` with the records of the run. Where that fails because a learner worked on the run meanwhile, the error says that.
@@ -81,15 +84,11 @@ impl Recorded {
         &self,
         work: impl FnOnce(&Self) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
-        let starts = || plain_file::read(&self.folder.join(STARTS)).ok();
-        let before = starts();
         let done = work(self);
-        let is_disturbed = done.is_err() && starts() != before;
-        ensure!(
-            !is_disturbed,
-            "a learner worked on it meanwhile; repeat the command when it has ended"
-        );
-        done
+        if starts(&self.folder) == self.starts {
+            return done;
+        }
+        done.context("a learner worked on it meanwhile; repeat the command when it has ended")
     }
 
     /// Refuses a run whose `starts.jsonl` has no line, a line of another run or a line without a build, or whose copy of the
@@ -207,6 +206,11 @@ pub(crate) fn all_lines(file: &Path) -> anyhow::Result<Vec<Value>> {
         None => Ok(read.lines),
         Some(line) => anyhow::bail!("{}, line {line}: is no JSON object", file.display()),
     }
+}
+
+/// Content of the run's `starts.jsonl`, if it can be read.
+fn starts(folder: &Path) -> Option<Vec<u8>> {
+    plain_file::read(&folder.join(STARTS)).ok()
 }
 
 /// The lines of this kind; a line without a kind is one of an iteration.

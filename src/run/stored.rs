@@ -169,11 +169,11 @@ pub(crate) fn demand_own_checkpoint(
     Ok(())
 }
 
-/// Refuses settings with another hash than the run's manifest records, or the first line of its starts if it has none.
+/// Refuses settings with another hash than the run's manifest records, or the last line of its starts if it has none.
 fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig, ConfigError> {
-    let first = || all_lines(&folder.join(STARTS)).ok()?.into_iter().next();
+    let last = || all_lines(&folder.join(STARTS)).ok()?.pop();
     let manifest = RunFolder::recorded(folder).map(|manifest| (MANIFEST, manifest));
-    let recorded = manifest.or_else(|| Some((STARTS, first()?)));
+    let recorded = manifest.or_else(|| Some((STARTS, last()?)));
     let found = policy::arrays::hex(&config.resolved.sha256());
     let expected = recorded
         .as_ref()
@@ -212,6 +212,24 @@ fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
 mod tests {
     use super::*;
     use crate::config::{Request, layers};
+
+    #[test]
+    fn without_a_manifest_settings_must_be_those_of_the_last_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let resolved = layers::resolve(&Request::default()).unwrap();
+        std::fs::write(path(CONFIG), resolved.to_toml()).unwrap();
+        let own = policy::arrays::hex(&resolved.sha256());
+        let starts = |last: &str| {
+            let lines = format!("{{\"config_sha256\":\"aa\"}}\n{{\"config_sha256\":\"{last}\"}}\n");
+            std::fs::write(path(STARTS), lines).unwrap();
+        };
+        starts(&own);
+        own_settings(folder.path()).unwrap();
+        starts("bb");
+        let error = own_settings(folder.path()).unwrap_err().to_string();
+        assert!(error.ends_with("starts.jsonl has bb"), "{error}");
+    }
 
     #[test]
     fn an_unknown_key_in_the_settings_of_a_run_names_the_version_that_made_it() {

@@ -118,7 +118,7 @@ impl JsonLines {
     }
 }
 
-/// Moves whole lines of a file that are no JSON objects into one beside it.
+/// Moves whole lines of a file that are no JSON objects into one beside it. Then half a line at the end is dropped.
 ///
 /// # Errors
 /// Names the file if it cannot be read or written.

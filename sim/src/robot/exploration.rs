@@ -116,7 +116,7 @@ impl Drive<'_> {
                 "always exerts {low} to {high} {newtons}, almost the same: widen `ctrlrange`"
             ));
         }
-        let acceleration = largest * self.hinge.inverse_inertia;
+        let acceleration = largest * self.hinge.axis_inverse_inertia;
         if acceleration < SLOWEST_ACCELERATION {
             return Some(format!(
                 "exerts {largest} {newtons} at most, which accelerates the joint by {acceleration:.2e} {unit}/s^2: raise \

@@ -144,9 +144,10 @@ pub(crate) struct HingeMap {
     pub(crate) dof: usize,
     /// Axis among the joint's six coordinates.
     pub(crate) axis: usize,
-    /// Inverse inertia with all other joints free, in the rest pose, 1/(kg m^2): MuJoCo's `dof_invweight0`.
+    /// MuJoCo's `dof_invweight0`, 1/(kg m^2): [`Self::axis_inverse_inertia`], of a ball joint's axis the mean of its three, and of a
+    /// slide near the world the inverse mass of its body without `armature`.
     pub(crate) inverse_inertia: f32,
-    /// The same of this axis alone: `inverse_inertia` of an axis of a ball joint is the mean of its three.
+    /// Inverse inertia of this axis with all other joints free, in the rest pose, 1/(kg m^2).
     pub(crate) axis_inverse_inertia: f32,
 }
 

@@ -280,7 +280,7 @@ impl HingeDrives {
             let acceleration =
                 (hinge.plan.axis.sign * speeds[hinge.dof] - drive.speed) / self.step_secs;
             let push = drive.limit.armature * (drive.limit.reference - acceleration);
-            drive.free_acceleration = acceleration - hinge.inverse_inertia * push;
+            drive.free_acceleration = acceleration - hinge.axis_inverse_inertia * push;
         }
     }
 
@@ -354,7 +354,7 @@ impl HingeDrives {
         let drive = &self.drives[index];
         let speed = inward * speed;
         let reference = (spring.next_speed(speed, position) - speed) / self.step_secs;
-        let changed = hinge.inverse_inertia * (drive.torque - drive.last_torque);
+        let changed = hinge.axis_inverse_inertia * (drive.torque - drive.last_torque);
         if reference <= inward * (drive.free_acceleration + changed) {
             return Limit::default();
         }

@@ -3,7 +3,7 @@
 use rapier3d::dynamics::Multibody;
 use rapier3d::prelude::*;
 
-use super::super::blueprint::{Blueprint, JointPlan};
+use super::super::blueprint::{Blueprint, JointPlan, LinkPlan};
 use super::super::coupling::ConnectedFrame;
 use super::{FreeFriction, JointMap, Layout};
 
@@ -71,14 +71,7 @@ impl Layout {
             hinge.inverse_inertia = inverse_inertias[hinge.dof];
             hinge.axis_inverse_inertia = hinge.inverse_inertia;
         }
-        let links = blueprint.links.iter().zip(&self.joints);
-        for (plan, joint) in links.filter(|(plan, _)| plan.is_slider) {
-            // But for `dampratio`, MuJoCo leaves `armature` out of the inverse of such a slide.
-            let slide = self.hinges.iter_mut().find(|hinge| hinge.link == joint.link);
-            if let Some(slide) = slide {
-                slide.inverse_inertia = plan.mass.inv_mass;
-            }
-        }
+        self.set_sliders(blueprint);
         for ball in &self.balls {
             let rotations = &mut self.hinges[ball.first..ball.first + 3];
             let mean = inverse_inertias.rows(rotations[0].dof, 3).mean();
@@ -100,6 +93,26 @@ impl Layout {
                 let (link, dof) = (index, joint.dof);
                 let plan = free.clone();
                 self.free_frictions.push(FreeFriction { plan, link, dof, inverses });
+            }
+        }
+    }
+
+    /// Of slides near the world MuJoCo takes the inverse mass of the body, which leaves `armature` out. All but the last link of a
+    /// body have no mass.
+    fn set_sliders(&mut self, blueprint: &Blueprint) {
+        for slider in blueprint.links.iter().enumerate().filter(|(_, plan)| plan.is_slider) {
+            let (mut link, LinkPlan { mass, .. }) = slider;
+            loop {
+                let joint = self.joints[link].link;
+                let slide = self.hinges.iter_mut().find(|hinge| hinge.link == joint);
+                slide.into_iter().for_each(|slide| slide.inverse_inertia = mass.inv_mass);
+                let above = blueprint.links[link].parent;
+                let Some(above) =
+                    above.filter(|above| blueprint.links[*above].mass.inv_mass == 0.0)
+                else {
+                    break;
+                };
+                link = above;
             }
         }
     }

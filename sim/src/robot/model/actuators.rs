@@ -359,7 +359,9 @@ fn activation(
         ("filterexact", Some(ActivationKind::FilterExact)),
     ];
     let kind = element.word("dyntype", &kinds)?;
-    if kind.is_none() && element.text("actrange").is_none() {
+    // Of a class it does not matter for an actuator without activation.
+    let is_limited = element.flag("actlimited")? == Some(true) && element.tag == "general";
+    if kind.is_none() && !is_limited && element.text("actrange").is_none() {
         return Ok(None);
     }
     let range = driven.range_of(element, ["actrange", "actlimited"], (law, is_summed), context)?;

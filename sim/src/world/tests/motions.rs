@@ -75,6 +75,14 @@ const CASES: &[Case] = &[
         end: &[-0.014957],
     },
     Case {
+        name: "two slides of one body with armature",
+        sections: "",
+        bodies: "<body><joint type=\"slide\" axis=\"1 0 0\" armature=\"5\" range=\"-.01 .01\"/><joint type=\"slide\" armature=\"5\" range=\"-.01 .01\"/><geom size=\".1\"/></body>",
+        start: &[0.03, 0.03],
+        steps: 100,
+        end: &[-0.004843, -0.014957],
+    },
+    Case {
         name: "a sprung slide with armature",
         sections: "",
         bodies: "<body><joint type=\"slide\" armature=\"5\" springdamper=\".2 1\"/><geom size=\".1\"/></body>",
