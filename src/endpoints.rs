@@ -329,6 +329,15 @@ mod tests {
     }
 
     #[test]
+    fn a_page_is_reached_at_the_address_on_which_it_listens() {
+        let access = arguments("off").access;
+        let bound = access.hosts(Some("192.168.1.2".parse().unwrap())).unwrap();
+        assert!(bound.allow("192.168.1.2:8080") && !bound.allow("192.168.1.3:8080"));
+        let everywhere = access.hosts(Some("0.0.0.0".parse().unwrap())).unwrap();
+        assert!(!everywhere.allow("0.0.0.0:8080") && everywhere.allow("localhost"));
+    }
+
+    #[test]
     fn a_learner_on_all_addresses_is_reached_on_loopback() {
         for (address, expected) in [
             ("0.0.0.0:50051", "127.0.0.1:50051"),

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use kuva::render::layout::TickFormat;
+use learner::observe::metrics;
 use learner::store::run_folder::{METRICS, RunFolder};
 use serde_json::Value;
 
@@ -68,16 +69,19 @@ impl Quantity {
     /// Env steps and value of every line that has one, in order of env steps. Returns are those with actions of the same kind as
     /// in the last evaluation, mean or sampled.
     pub(crate) fn points(self, lines: &[Value]) -> Vec<(f64, f64)> {
-        let last = lines.iter().rfind(|line| line["kind"] == "evaluation").map(is_sampled);
-        let is_alike =
-            |line: &Value| line["kind"] == "evaluation" && last == Some(is_sampled(line));
-        let value = |line: &Value| match self {
-            Self::Return => is_alike(line).then(|| line["mean"].as_f64())?,
-            Self::Surprise => mean_over_agents(line, "surprise_entropy_bound"),
-            Self::Information => mean_over_agents(line, "mi_estimate"),
+        let of_figure = |name: &str| -> Vec<(f64, f64)> {
+            let point =
+                |line: &Value| Some((line["env_steps"].as_f64()?, mean_over_agents(line, name)?));
+            lines.iter().filter_map(point).collect()
         };
-        let point = |line: &Value| Some((line["env_steps"].as_f64()?, value(line)?));
-        let mut points: Vec<(f64, f64)> = lines.iter().filter_map(point).collect();
+        let mut points = match self {
+            Self::Return => {
+                let measured: Vec<_> = metrics::measured(lines).collect();
+                metrics::comparable(measured).map(|one| (one.env_steps as f64, one.mean)).collect()
+            }
+            Self::Surprise => of_figure("surprise_entropy_bound"),
+            Self::Information => of_figure("mi_estimate"),
+        };
         points.sort_by(|left, right| left.0.total_cmp(&right.0));
         points
     }
@@ -89,11 +93,6 @@ impl Quantity {
             Self::Surprise | Self::Information => count.div_ceil(MOST_POINTS).max(1),
         }
     }
-}
-
-/// Whether an evaluation sampled its actions.
-fn is_sampled(line: &Value) -> bool {
-    line["sampled"].as_bool().unwrap_or(false)
 }
 
 /// Mean of `agent0/NAME`, `agent1/NAME` and so on; `None` if no agent has it, or if that of one is not finite (null).

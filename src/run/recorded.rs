@@ -246,3 +246,32 @@ fn demand_only(file: &Path, lines: &Lines, known: RangeInclusive<u64>) -> anyhow
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_says_that_a_learner_worked_on_the_run_meanwhile_only_where_one_started() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join(STARTS);
+        std::fs::write(&file, "{}\n").unwrap();
+        let recorded = Recorded {
+            folder: folder.path().to_path_buf(),
+            starts: starts(folder.path()),
+            manifest: Value::Null,
+            config: RunConfig::with(&[]).unwrap(),
+            provenance: Lines::new(),
+            metrics: Lines::new(),
+            evaluations: Lines::new(),
+            checkpoints: Vec::new(),
+        };
+        let failure = || anyhow::anyhow!("a line differs");
+        let alone = recorded.undisturbed(|_| Err::<(), _>(failure())).unwrap_err();
+        assert_eq!(alone.to_string(), "a line differs");
+        let work = || std::fs::write(&file, "{}\n{}\n").unwrap();
+        recorded.undisturbed(|_| Ok(work())).unwrap();
+        let disturbed = recorded.undisturbed(|_| Err::<(), _>(failure())).unwrap_err();
+        assert!(disturbed.to_string().starts_with("a learner worked on it meanwhile"));
+    }
+}

@@ -21,7 +21,7 @@ RECORDS = TEAMS / "teams.toml"
 HEAD = "# The trained teams that come with the program: src/run/pretrained.rs explains the fields.\n"
 SEED = 1
 
-# The default algorithm does not learn to push the load (docs/RESULTS.md).
+# The default algorithm does not learn to push the load (docs/STUDY.md).
 ALGORITHMS = {"carry-light-2x2": "happo", "carry-heavy-2x2": "happo"}
 
 

@@ -39,10 +39,25 @@ pub type Returns = BTreeMap<u64, f64>;
 pub struct MeasuredReturn {
     /// Iteration of the evaluated policies.
     pub iteration: u64,
+    /// Environment steps that they have trained for.
+    pub env_steps: u64,
     /// Mean return.
     pub mean: f64,
     /// Whether actions were sampled. Others are means, or the likeliest choices.
     pub sampled: bool,
+}
+
+impl MeasuredReturn {
+    /// The result of a report.
+    #[must_use]
+    pub fn of(report: &EvaluationReport) -> Self {
+        Self {
+            iteration: report.iteration,
+            env_steps: report.env_steps,
+            mean: report.spread.mean,
+            sampled: report.sampled,
+        }
+    }
 }
 
 /// The results of the evaluations in the lines of `metrics.jsonl`.
@@ -51,18 +66,26 @@ pub fn measured(lines: &[Value]) -> impl Iterator<Item = MeasuredReturn> {
     evaluations.filter_map(|line| {
         Some(MeasuredReturn {
             iteration: line["iteration"].as_u64()?,
+            env_steps: line["env_steps"].as_u64()?,
             mean: line["mean"].as_f64()?,
             sampled: line["sampled"].as_bool().unwrap_or(false),
         })
     })
 }
 
-/// The results that can be compared with each other: those with actions of the same kind as in the last evaluation.
+/// The results that can be compared with each other: those with actions of the same kind, mean or sampled, as in the last
+/// evaluation.
+pub fn comparable(
+    all: impl IntoIterator<Item = MeasuredReturn> + Clone,
+) -> impl Iterator<Item = MeasuredReturn> {
+    let last = all.clone().into_iter().last();
+    all.into_iter().filter(move |one| last.is_some_and(|last| last.sampled == one.sampled))
+}
+
+/// The mean returns of the [`comparable`] results.
 #[must_use]
 pub fn returns(all: impl IntoIterator<Item = MeasuredReturn> + Clone) -> Returns {
-    let last = all.clone().into_iter().last();
-    let alike = all.into_iter().filter(|one| last.is_some_and(|last| last.sampled == one.sampled));
-    alike.map(|one| (one.iteration, one.mean)).collect()
+    comparable(all).map(|one| (one.iteration, one.mean)).collect()
 }
 
 impl Metrics {
@@ -203,7 +226,10 @@ mod tests {
 
     #[test]
     fn returns_of_sampled_actions_are_not_compared_with_those_of_mean_actions() {
-        let of = |iteration, mean, sampled| MeasuredReturn { iteration, mean, sampled };
+        let of = |iteration, mean, sampled| {
+            let env_steps = 100 * iteration;
+            MeasuredReturn { iteration, env_steps, mean, sampled }
+        };
         let all = [of(0, 9.0, false), of(2, 1.0, true), of(4, 2.0, true)];
         assert_eq!(returns(all), Returns::from([(2, 1.0), (4, 2.0)]));
         assert_eq!(returns([all[1], all[0]]), Returns::from([(0, 9.0)]));

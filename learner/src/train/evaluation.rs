@@ -101,10 +101,9 @@ impl Evaluations {
         self.latest = Some(evaluated);
     }
 
-    /// Ends the evaluation of `iteration`, whose mean return is in the metrics.
-    pub fn end(&mut self, iteration: u64, mean_return: f64) {
-        let sampled = self.config.sampled;
-        self.measured.push(MeasuredReturn { iteration, mean: mean_return, sampled });
+    /// Ends the evaluation whose result is in the metrics.
+    pub fn end(&mut self, measured: MeasuredReturn) {
+        self.measured.push(measured);
     }
 
     /// The latest evaluation as arrays under `evaluation/`, finished or not. Whether it is finished depends on timing

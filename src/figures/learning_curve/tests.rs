@@ -25,9 +25,9 @@ fn evaluations_are_taken_from_the_lines_that_hold_one() {
     let metrics = folder.path().join("metrics.jsonl");
     let lines = [
         r#"{"kind": "iteration", "env_steps": 4000, "losses/value": 1.5, "mean": 2.0}"#,
-        r#"{"kind": "evaluation", "env_steps": 8000, "mean": 12.5, "episodes": 10}"#,
-        r#"{"kind": "evaluation", "env_steps": 0, "mean": -3.0, "episodes": 10}"#,
-        r#"{"kind": "evaluation", "env_steps": 12000, "me"#,
+        r#"{"kind": "evaluation", "iteration": 1, "env_steps": 8000, "mean": 12.5, "episodes": 10}"#,
+        r#"{"kind": "evaluation", "iteration": 1, "env_steps": 0, "mean": -3.0, "episodes": 10}"#,
+        r#"{"kind": "evaluation", "iteration": 1, "env_steps": 12000, "me"#,
     ];
     std::fs::write(&metrics, lines.join("\n")).unwrap();
     assert_eq!(evaluations(&metrics).unwrap(), [(0.0, -3.0), (8000.0, 12.5)]);
@@ -81,7 +81,7 @@ fn names_have_eight_digits_of_a_digest_and_a_word_for_an_empty_value() {
 
 #[test]
 fn returns_of_mean_actions_and_of_sampled_ones_are_not_joined() {
-    let line = |env_steps: u64, mean: f64, sampled: bool| json!({"kind": "evaluation", "env_steps": env_steps, "mean": mean, "sampled": sampled});
+    let line = |env_steps: u64, mean: f64, sampled: bool| json!({"kind": "evaluation", "iteration": 0, "env_steps": env_steps, "mean": mean, "sampled": sampled});
     let lines = [line(0, 0.5, false), line(1000, 47.7, false), line(2000, 28.5, true)];
     assert_eq!(Quantity::Return.points(&lines), [(2000.0, 28.5)]);
     assert_eq!(Quantity::Return.points(&lines[..2]), [(0.0, 0.5), (1000.0, 47.7)]);
@@ -206,8 +206,8 @@ fn each_quantity_is_taken_from_the_lines_that_hold_it() {
         json!({"kind": "iteration", "env_steps": 40, "mean": 9.0,
                "agent0/mi_estimate": 1.0, "agent1/mi_estimate": 2.0}),
         json!({"kind": "iteration", "env_steps": 80, "agent0/surprise_entropy_bound": 3.0}),
-        json!({"kind": "evaluation", "env_steps": 80, "mean": 5.0}),
-        json!({"kind": "evaluation", "env_steps": 0, "mean": -1.0}),
+        json!({"kind": "evaluation", "iteration": 2, "env_steps": 80, "mean": 5.0}),
+        json!({"kind": "evaluation", "iteration": 0, "env_steps": 0, "mean": -1.0}),
     ];
     assert_eq!(Quantity::Return.points(&lines), [(0.0, -1.0), (80.0, 5.0)]);
     assert_eq!(Quantity::Surprise.points(&lines), [(80.0, 3.0)]);

@@ -8,6 +8,7 @@ use crate::error::LearnerError;
 use crate::lease::exchange::Wake;
 use crate::lease::slots::{EvaluationOutcome, SlotRollout};
 use crate::observe::event::{EvaluationReport, Event, Spread, Stage};
+use crate::observe::metrics::MeasuredReturn;
 use crate::observe::snapshot::RunSnapshot;
 use crate::train::reward_terms;
 use crate::train::trainer::RunningTrainer;
@@ -85,7 +86,7 @@ impl RunningTrainer {
             metrics: reward_terms::means_per_episode(names, &terms),
         };
         self.trainer.metrics.evaluation(&report)?;
-        self.trainer.evaluations.end(iteration, report.spread.mean);
+        self.trainer.evaluations.end(MeasuredReturn::of(&report));
         self.tell(&Event::Evaluation(report));
         Ok(())
     }

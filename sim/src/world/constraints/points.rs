@@ -146,15 +146,15 @@ pub(super) fn is_repeated(points: &[TrackedContact<()>], index: usize) -> bool {
     let is_appended = [point.fid1, point.fid2] == [PackedFeatureId::UNKNOWN; 2];
     let is_there =
         |other: &TrackedContact<()>| (other.local_p1 - point.local_p1).length() < SAME_POINT;
-    let is_repeated = points[..index].iter().any(|other| {
+    let stands_before = points[..index].iter().any(|other| {
         (is_there(other) && other.dist - point.dist <= SAME_POINT)
             || (is_appended && index + 1 == points.len() && other.dist < point.dist + SAME_POINT)
     });
     let replaces = |(later, other): (usize, &TrackedContact<()>)| {
         let is_deeper = point.dist - other.dist > SAME_POINT;
-        is_there(other) && is_deeper && !self::is_repeated(points, later)
+        is_there(other) && is_deeper && !is_repeated(points, later)
     };
-    is_repeated || points.iter().enumerate().skip(index + 1).any(replaces)
+    stands_before || points.iter().enumerate().skip(index + 1).any(replaces)
 }
 
 /// MuJoCo's frame of a contact: the normal, and two tangents, the first of them along `along` as far as possible.
