@@ -87,8 +87,10 @@ impl Progress {
         match event {
             Event::Iteration(_) => self.iteration(),
             Event::Collecting { env_steps, .. } => self.collecting(*env_steps),
-            Event::Waiting { .. } | Event::Evaluation(_) => {
-                self.screen.line(&notice(event).unwrap_or_default());
+            Event::Evaluation(report) => self.screen.line(&evaluated(report)),
+            Event::Waiting { seconds, reason } => {
+                let waited = chart::duration(*seconds);
+                self.screen.line(&format!("waited {waited} so far: {reason}"));
             }
             Event::Stage(_) | Event::Checkpoint(_) | Event::CheckpointFailed { .. } => {}
         }
@@ -210,23 +212,14 @@ impl RecentIterations {
     }
 }
 
-/// The line of an event that is printed at once.
-fn notice(event: &Event) -> Option<String> {
-    match event {
-        Event::Evaluation(EvaluationReport { env_steps, spread, episodes, .. }) => {
-            let Spread { mean, standard_deviation, minimum, maximum } = spread;
-            Some(format!(
-                "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} \
-                 ({minimum:.1} to {maximum:.1}, {})",
-                chart::thousands(*env_steps),
-                chart::counted(*episodes as u64, "episode")
-            ))
-        }
-        Event::Waiting { seconds, reason } => {
-            Some(format!("waited {} so far: {reason}", chart::duration(*seconds)))
-        }
-        _ => None,
-    }
+/// The line of an evaluation.
+fn evaluated(report: &EvaluationReport) -> String {
+    let Spread { mean, standard_deviation, minimum, maximum } = report.spread;
+    format!(
+        "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} ({minimum:.1} to {maximum:.1}, {})",
+        chart::thousands(report.env_steps),
+        chart::counted(report.episodes as u64, "episode")
+    )
 }
 
 /// How far a command is that works through a known amount.
@@ -310,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn an_evaluation_is_told_with_its_spread() {
+    fn the_line_of_an_evaluation_has_its_spread() {
         let spread =
             Spread { mean: 812.44, standard_deviation: 33.1, minimum: 760.0, maximum: 866.0 };
         let report = EvaluationReport {
@@ -322,8 +315,8 @@ mod tests {
             metrics: Vec::new(),
         };
         assert_eq!(
-            notice(&Event::Evaluation(report)).as_deref(),
-            Some("evaluation at 100,000 steps: return 812.4 ± 33.1 (760.0 to 866.0, 10 episodes)")
+            evaluated(&report),
+            "evaluation at 100,000 steps: return 812.4 ± 33.1 (760.0 to 866.0, 10 episodes)"
         );
     }
 }

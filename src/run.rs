@@ -23,7 +23,7 @@ use learner::store::run_folder::{CONFIG, RunFolder};
 use learner::store::{durable, plain_file};
 use policy::RunSeed;
 use proto::Digest;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Request, keys, layers, message_steps};
@@ -35,6 +35,12 @@ use crate::run::stored::{own_settings, settings_of_run};
 
 /// Version and commit of this program.
 pub(crate) const BUILD: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("S2MIA_GIT_COMMIT"));
+
+/// Version and commit in a run's manifest or a line of its starts, as [`BUILD`] has them.
+pub(crate) fn build_of(record: &Value) -> String {
+    let recorded = |key: &str| record[key].as_str().unwrap_or("unknown");
+    format!("{}+{}", recorded("version"), recorded("git_commit"))
+}
 
 /// Placeholder for the settings of a command in help texts.
 pub(crate) const VALUE_NAME: &str = "TASK | KEY=VALUE";

@@ -65,7 +65,7 @@ fn over_grpc(
         let start = |_| Ok(program(&["actor", "--learner", &url]).stderr(Stdio::null()).spawn()?);
         let actors: Vec<Child> = (0..ACTORS).map(start).collect::<anyhow::Result<_>>()?;
         let (log, (_stop, never)) = (IterationLog::default(), watch::channel(false));
-        learner::run::run(launch, listener, None, log.observer(), never).await?;
+        learner::run::run(launch, listener.into(), None, log.observer(), never).await?;
         for mut actor in actors {
             actor.wait()?;
         }

@@ -33,7 +33,7 @@ const CLOSING: Duration = Duration::from_secs(1);
 /// Says what could not start or broke; a resume continues from the last checkpoint.
 pub async fn run(
     launch: Launch,
-    listener: impl Into<Listener>,
+    listener: Listener,
     page: Option<Page>,
     observer: Observer,
     stop: watch::Receiver<bool>,
@@ -41,7 +41,6 @@ pub async fn run(
     let prepared = tokio::task::spawn_blocking(move || prepare(launch)).await;
     let (trainer, description) = prepared
         .map_err(|error| LearnerError::Other(format!("the trainer panicked: {error}")))??;
-    let listener = listener.into();
     let address = listener.listener.local_addr();
     let address = address.map_err(service_ended)?;
     let token = listener.token.as_ref().map(|required| &required.token);

@@ -72,10 +72,10 @@ impl Observations<'_> {
             let equal = copies
                 .zip(source)
                 .is_some_and(|(copies, source)| copies.tensor(self.rows, source) == **tensor);
-            match equal {
-                true => **tensor = wire::Tensor::default(),
-                false if i == 0 => first = Some(tensor.clone()),
-                false => {}
+            if equal {
+                **tensor = wire::Tensor::default();
+            } else if i == 0 {
+                first = Some(tensor.clone());
             }
         }
     }

@@ -52,12 +52,15 @@ fn explained(config: &RunConfig, key: &str) -> anyhow::Result<String> {
         (Some(weight), _) => weight.to_string(),
         (None, default) => default?.to_string(),
     };
-    let (value, origin) = match config.resolved.entries.contains_key(key) {
-        true => (config.resolved.shown(key), config.resolved.origin(key)),
-        false if weight.is_some() => (default.clone(), file),
+    let (value, origin) = if config.resolved.entries.contains_key(key) {
+        (config.resolved.shown(key), config.resolved.origin(key))
+    } else if weight.is_some() {
+        (default.clone(), file)
+    } else if !remark.is_empty() {
         // The remark names what it needs.
-        false if !remark.is_empty() => ("not set".to_owned(), "nothing"),
-        false => ("not set".to_owned(), "nothing (a run has it only if it is given)"),
+        ("not set".to_owned(), "nothing")
+    } else {
+        ("not set".to_owned(), "nothing (a run has it only if it is given)")
     };
     let matters = keys::is_semantic(key) || config.resolved.semantic().any(|(it, _)| it == key);
     let effect = if key == keys::START {

@@ -29,7 +29,7 @@ pub(crate) struct LogArguments {
 /// Ends with status 1 if a file is damaged or a replayed step differs, with 3 if only data is missing. All files are checked.
 pub(super) fn run(arguments: &LogArguments) -> anyhow::Result<()> {
     let paths = paths(&arguments.files)?;
-    let all = sizes(&paths);
+    let all = paths.iter().map(|path| size(path)).sum();
     let mut done = 0;
     let progress = WorkProgress::new();
     let mut gaps = Gaps::default();
@@ -153,11 +153,6 @@ fn paths(files: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         }
     }
     Ok(paths)
-}
-
-/// Bytes of all files together.
-fn sizes(paths: &[PathBuf]) -> u64 {
-    paths.iter().map(|path| size(path)).sum()
 }
 
 /// Bytes of a file, for progress; 0 if it cannot be read, which reading it reports.

@@ -200,7 +200,7 @@ impl FollowedRun {
     }
 
     fn shown(&self) -> ShownRun {
-        let returns = metrics::returns(self.measured.iter().copied());
+        let returns = metrics::returns(&self.measured);
         let evaluated = |iteration| (iteration, returns.get(&iteration).copied());
         let troubles = self.group.as_ref().err().cloned().into_iter().chain(self.trouble());
         let troubles = troubles.collect::<Vec<_>>().join("; ");

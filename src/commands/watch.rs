@@ -64,10 +64,7 @@ impl<'a> Watch<'a> {
                 Ok(RunEnd::Stopped) => anyhow::anyhow!("the learner has ended"),
                 Err(error) => explained(error, tls, *timeout_secs).await,
             };
-            if is_final(&missing) {
-                return Err(missing);
-            }
-            if self.reached.elapsed() >= outage {
+            if is_final(&missing) || self.reached.elapsed() >= outage {
                 return Err(missing);
             }
             if reported.replace(self.reached) != Some(self.reached) {

@@ -75,7 +75,7 @@ pub(super) fn known(place: &str, key: &str) -> Result<&'static Value, ConfigErro
         let expected = format!("a table with keys such as `{inside}`");
         return Err(wrong_kind(place, key, &expected, "a value"));
     }
-    let tip = tip(key, KNOWN.keys().map(String::as_str));
+    let tip = tip(key, names());
     Err(ConfigError::UnknownKey { place: place.to_owned(), key: key.to_owned(), tip })
 }
 

@@ -129,17 +129,19 @@ const TABLE: &[Rule] = &[
 ];
 
 impl Rule {
+    fn conditions(&self) -> impl Iterator<Item = Condition> {
+        [self.refused].into_iter().chain(self.with.iter().copied())
+    }
+
     fn is_broken(&self, run: &RunContext<'_>) -> bool {
-        let mut conditions = [self.refused].into_iter().chain(self.with.iter().copied());
-        conditions.all(|condition| condition.holds(run) == Some(true))
+        self.conditions().all(|condition| condition.holds(run) == Some(true))
     }
 }
 
 /// Refuses the first value that does not go with others, or with the environment as far as it is known.
 pub(super) fn demand(run: &RunContext<'_>) -> Result<(), ConfigError> {
     let Some(rule) = TABLE.iter().find(|rule| rule.is_broken(run)) else { return Ok(()) };
-    let conditions = [rule.refused].into_iter().chain(rule.with.iter().copied());
-    let keys: Vec<&str> = conditions.filter_map(Condition::setting).collect();
+    let keys: Vec<&str> = rule.conditions().filter_map(Condition::setting).collect();
     let key = keys[0];
     let found = if run.resolved.entries.contains_key(key) {
         format!("{key} = {} does", run.resolved.plain(key))

@@ -1,14 +1,10 @@
 //! Comparison of each variant with the baseline over all tasks, aggregated as in Agarwal et al. (NeurIPS 2021): every
 //! task has the same weight in the probability of improvement, and runs are exchanged within a task only. Pure.
 
-use policy::{Draw, Purpose};
-
 use super::results::{
-    Estimate, IMPROVEMENT, Measured, PERMUTATION, areas, finals, found, grouped, tasks,
+    Estimate, Improvement, Measured, Pair, areas, finals, found, grouped, samples, tasks,
 };
-use crate::figures::statistics::{
-    holm_adjusted, interquartile_mean, permutation_p_value, probability_of_improvement,
-};
+use crate::figures::statistics::{holm_adjusted, interquartile_mean};
 
 /// What a run is compared by.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,16 +44,11 @@ pub(crate) struct Comparison {
     /// Interquartile mean over all runs of the measure in units of the baseline's interquartile mean on the task; NaN if
     /// that is not above 0 on every task.
     pub(crate) score: Estimate,
-    /// Probability that a run of the variant is above one of the baseline, mean over tasks.
-    pub(crate) improvement: Estimate,
-    /// P-value of a two-sided permutation test of that probability.
-    pub(crate) p_value: f64,
-    /// The p-value after Holm's correction for all variants.
+    /// Against the baseline's runs.
+    pub(crate) improvement: Improvement,
+    /// Its p-value after Holm's correction for all variants.
     pub(crate) adjusted_p_value: f64,
 }
-
-/// The measure of a variant's and of the baseline's runs on each task.
-type Pairs = Vec<(Vec<f64>, Vec<f64>)>;
 
 /// A comparison for each of `variants` that shares a task with the baseline, without the baseline itself.
 pub(crate) fn comparisons(
@@ -67,40 +58,37 @@ pub(crate) fn comparisons(
     measure: Measure,
 ) -> Vec<Comparison> {
     let groups = grouped(runs);
-    let pairs = |variant: &String| -> Pairs {
+    let pairs = |variant: &String| -> Vec<Pair> {
         let of = |task, name| found(&groups, task, name).map(|curves| measure.of(curves));
         let shared = tasks(&groups).into_iter();
         shared.filter_map(|task| Some((of(task, variant)?, of(task, baseline)?))).collect()
     };
     let rivals = variants.iter().filter(|variant| *variant != baseline);
-    let compared: Vec<(&String, Pairs)> = rivals
-        .map(|variant| (variant, pairs(variant)))
-        .filter(|(_, pairs)| !pairs.is_empty())
-        .collect();
-    let key = Draw::of(Purpose::Bootstrap).step(PERMUTATION);
-    let raw: Vec<f64> = compared.iter().map(|(_, pairs)| permutation_p_value(pairs, key)).collect();
-    let p_values = raw.iter().copied().zip(holm_adjusted(&raw));
-    let judged = compared.iter().zip(p_values);
-    judged.map(|((variant, pairs), p_values)| comparison(variant, pairs, p_values)).collect()
+    let compared = rivals.map(|variant| (variant, pairs(variant)));
+    let compared = compared.filter(|(_, pairs)| !pairs.is_empty());
+    let mut all: Vec<Comparison> =
+        compared.map(|(variant, pairs)| comparison(variant, &pairs)).collect();
+    let raw: Vec<f64> = all.iter().map(|comparison| comparison.improvement.p_value).collect();
+    for (comparison, adjusted) in all.iter_mut().zip(holm_adjusted(&raw)) {
+        comparison.adjusted_p_value = adjusted;
+    }
+    all
 }
 
-/// `p_values`: raw and adjusted.
-fn comparison(variant: &str, pairs: &Pairs, p_values: (f64, f64)) -> Comparison {
-    let samples: Vec<&[f64]> =
-        pairs.iter().flat_map(|(own, rivals)| [own.as_slice(), rivals.as_slice()]).collect();
-    let (p_value, adjusted_p_value) = p_values;
+/// A comparison without correction.
+fn comparison(variant: &str, pairs: &[Pair]) -> Comparison {
+    let improvement = Improvement::of(pairs);
     Comparison {
         variant: variant.to_owned(),
         tasks: pairs.len(),
         runs: pairs.iter().map(|(own, _)| own.len()).sum(),
-        score: Estimate::of(&samples, 3, normalised_score),
-        improvement: Estimate::of(&samples, IMPROVEMENT, mean_improvement),
-        p_value,
-        adjusted_p_value,
+        score: Estimate::of(&samples(pairs), 3, normalised_score),
+        improvement,
+        adjusted_p_value: improvement.p_value,
     }
 }
 
-/// Interquartile mean of normalised returns; the samples are `[own, rivals, own, rivals, ..]`, a pair for each task.
+/// Interquartile mean of normalised returns; the samples are those of [`samples`].
 fn normalised_score(samples: &[Vec<f64>]) -> f64 {
     let scores = samples.chunks_exact(2).flat_map(|pair| {
         let unit = interquartile_mean(&pair[1]);
@@ -111,12 +99,6 @@ fn normalised_score(samples: &[Vec<f64>]) -> f64 {
         return f64::NAN;
     }
     interquartile_mean(&scores)
-}
-
-/// As [`normalised_score`].
-fn mean_improvement(samples: &[Vec<f64>]) -> f64 {
-    let tasks = samples.chunks_exact(2).map(|pair| probability_of_improvement(&pair[0], &pair[1]));
-    tasks.sum::<f64>() / (samples.len() / 2) as f64
 }
 
 #[cfg(test)]
@@ -142,17 +124,20 @@ mod tests {
         let [new] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((new.tasks, new.runs), (2, 5));
         // All of four on one task, none of one on the other.
-        assert_eq!(new.improvement.value, 0.5);
+        assert_eq!(new.improvement.probability.value, 0.5);
         // 0.5, 2.00, 2.01, 2.02, 2.03 in order: the third, and three quarters of each of its neighbours.
         assert!((new.score.value - 2.01).abs() < 1e-9, "{new:?}");
-        assert_eq!(new.p_value, new.adjusted_p_value);
+        assert_eq!(new.improvement.p_value, new.adjusted_p_value);
     }
 
     #[test]
     fn a_baseline_that_earns_nothing_is_no_unit_for_a_score() {
         let runs = [run("ant-4x2", "happo", -1.0), run("ant-4x2", "new", 5.0)];
         let found = comparisons(&runs, &["new".to_owned()], "happo", Measure::FinalReturn);
-        assert!(found[0].score.value.is_nan() && found[0].improvement.value == 1.0, "{found:?}");
+        assert!(
+            found[0].score.value.is_nan() && found[0].improvement.probability.value == 1.0,
+            "{found:?}"
+        );
     }
 
     #[test]
@@ -164,10 +149,10 @@ mod tests {
         let runs = [curve("happo", 10.0), curve("early", 30.0)];
         let of = |measure| comparisons(&runs, &["early".to_owned()], "happo", measure).remove(0);
         let (last, mean) = (of(Measure::FinalReturn), of(Measure::MeanReturn));
-        assert_eq!((last.score.value, last.improvement.value), (1.0, 0.5));
+        assert_eq!((last.score.value, last.improvement.probability.value), (1.0, 0.5));
         // (0 + 30) / 4 + (30 + 40) / 4 = 25 against (0 + 10) / 4 + (10 + 40) / 4 = 15.
         assert!((mean.score.value - 25.0 / 15.0).abs() < 1e-12, "{mean:?}");
-        assert_eq!(mean.improvement.value, 1.0);
+        assert_eq!(mean.improvement.probability.value, 1.0);
     }
 
     #[test]
@@ -188,8 +173,14 @@ mod tests {
             Measure::FinalReturn,
         );
         let [same, better] = found.as_slice() else { panic!("{found:?}") };
-        assert_eq!((same.improvement.value, better.improvement.value), (0.5, 1.0));
-        assert!(same.p_value > 0.9 && better.p_value < 0.005, "{found:?}");
-        assert!((better.adjusted_p_value - 2.0 * better.p_value).abs() < 1e-12, "{found:?}");
+        assert_eq!(
+            (same.improvement.probability.value, better.improvement.probability.value),
+            (0.5, 1.0)
+        );
+        assert!(same.improvement.p_value > 0.9 && better.improvement.p_value < 0.005, "{found:?}");
+        assert!(
+            (better.adjusted_p_value - 2.0 * better.improvement.p_value).abs() < 1e-12,
+            "{found:?}"
+        );
     }
 }

@@ -10,8 +10,8 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
-use learner::store::plain_file;
 use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder, STARTS};
+use learner::store::{durable, plain_file};
 use policy::arrays::hex;
 use sha2::{Digest as _, Sha256};
 
@@ -22,7 +22,7 @@ use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
 use crate::figures::chart::{counted, thousands};
 use crate::figures::learning_curve::{Curve, Quantity};
-use crate::process::target::{self, Target};
+use crate::process::target::Target;
 use crate::run::recorded::all_lines;
 use crate::run::stored::config_of_run;
 
@@ -267,7 +267,7 @@ impl FinishedRun {
 /// # Errors
 /// The folder cannot be made, or something other than a plain file is there.
 pub(crate) fn place(path: &Path) -> anyhow::Result<Target> {
-    path.parent().map_or(Ok(()), target::folder)?;
+    path.parent().map_or(Ok(()), durable::make_folder)?;
     Target::fixed(&path.canonicalize().unwrap_or_else(|_| path.to_owned()))
 }
 

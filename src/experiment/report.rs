@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use learner::store::durable;
+
 use super::PlannedRun;
 use super::comparison::{Comparison, Measure, comparisons};
 use super::file::ExperimentFile;
@@ -47,7 +49,7 @@ struct Started {
 
 /// Writes `results.md` if a run is finished, and the figures of the runs that exist.
 pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<WrittenReport> {
-    target::folder(&file.folder)?;
+    durable::make_folder(&file.folder)?;
     let Started { curves, finished, new, damaged } = started(file, runs)?;
     let measured: Vec<Measured> = finished.iter().map(|&index| measured(&curves[index])).collect();
     let variants: Vec<String> = file.variants.iter().map(|v| v.name.clone()).collect();
@@ -243,8 +245,8 @@ fn over_all_tasks(comparisons: &[Comparison], baseline: &str, measure: &str) -> 
             comparison.tasks,
             comparison.runs,
             shown(comparison.score, 3),
-            shown(comparison.improvement, 2),
-            shown_p(comparison.p_value),
+            shown(comparison.improvement.probability, 2),
+            shown_p(comparison.improvement.p_value),
             shown_p(comparison.adjusted_p_value),
         )
     };
@@ -293,6 +295,7 @@ fn shown_p(p_value: f64) -> String {
 mod tests {
     use super::*;
     use crate::experiment::file::tests::SAMPLE;
+    use crate::experiment::results::Improvement;
     use crate::figures::statistics::Interval;
 
     fn sample() -> ResultRow {
@@ -351,8 +354,7 @@ mod tests {
                 tasks: 1,
                 runs: 3,
                 score: estimate(score),
-                improvement: estimate(0.5),
-                p_value: 1.0,
+                improvement: Improvement { probability: estimate(0.5), p_value: 1.0 },
                 adjusted_p_value: 1.0,
             };
             over_all_tasks(&[comparison], "far", "final return")

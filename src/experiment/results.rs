@@ -10,9 +10,9 @@ use crate::figures::statistics::{
     probability_of_improvement, quantile,
 };
 
-/// Draws of a mean over tasks of P, and of the permutations of runs. Of one task they are those of its row.
-pub(super) const IMPROVEMENT: u32 = 4;
-pub(super) const PERMUTATION: u32 = 5;
+/// Draws of a mean over tasks of P, and of the permutations of runs.
+const IMPROVEMENT: u32 = 4;
+const PERMUTATION: u32 = 5;
 
 /// A figure and its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,13 +68,38 @@ pub(crate) struct ResultRow {
     pub(crate) improvement: Option<Improvement>,
 }
 
-/// How the final returns of a variant's runs on a task compare with the baseline's.
+/// A measure of a variant's and of the baseline's runs on a task.
+pub(super) type Pair = (Vec<f64>, Vec<f64>);
+
+/// How a variant's runs compare with the baseline's, on one task or more.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Improvement {
-    /// Probability that a run of the variant ends higher than one of the baseline.
+    /// Probability that a run of the variant is above one of the baseline, mean over tasks.
     pub(crate) probability: Estimate,
     /// P-value of a two-sided permutation test of that probability.
     pub(crate) p_value: f64,
+}
+
+impl Improvement {
+    /// That of the pairs, one for each task.
+    pub(super) fn of(pairs: &[Pair]) -> Self {
+        let key = Draw::of(Purpose::Bootstrap).step(PERMUTATION);
+        Self {
+            probability: Estimate::of(&samples(pairs), IMPROVEMENT, mean_improvement),
+            p_value: permutation_p_value(pairs, key),
+        }
+    }
+}
+
+/// The runs `[own, rivals, own, rivals, ..]`, a pair for each task.
+pub(super) fn samples(pairs: &[Pair]) -> Vec<&[f64]> {
+    pairs.iter().flat_map(|(own, rivals)| [own.as_slice(), rivals.as_slice()]).collect()
+}
+
+/// Mean over tasks of P; the samples are those of [`samples`].
+fn mean_improvement(samples: &[Vec<f64>]) -> f64 {
+    let tasks = samples.chunks_exact(2).map(|pair| probability_of_improvement(&pair[0], &pair[1]));
+    tasks.sum::<f64>() / (samples.len() / 2) as f64
 }
 
 /// The curves of each variant on each task, by task and variant.
@@ -150,7 +175,7 @@ fn row(
         area: mean(&areas, 1),
         steps_to_threshold: median_steps(&reached),
         runs_at_threshold: reached.iter().flatten().count(),
-        improvement: baseline.map(|baseline| improvement(&finals, baseline)),
+        improvement: baseline.map(|baseline| Improvement::of(&[(finals, baseline.to_vec())])),
     }
 }
 
@@ -183,15 +208,6 @@ fn mean(values: &[f64], figure: u32) -> Estimate {
     Estimate {
         value: interquartile_mean(values),
         interval: interquartile_mean_interval(values, PRINTED_RESAMPLES, key),
-    }
-}
-
-fn improvement(runs: &[f64], baseline: &[f64]) -> Improvement {
-    let of = |samples: &[Vec<f64>]| probability_of_improvement(&samples[0], &samples[1]);
-    let key = Draw::of(Purpose::Bootstrap).step(PERMUTATION);
-    Improvement {
-        probability: Estimate::of(&[runs, baseline], IMPROVEMENT, of),
-        p_value: permutation_p_value(&[(runs.to_vec(), baseline.to_vec())], key),
     }
 }
 

@@ -67,10 +67,12 @@ pub(crate) async fn run_all(
         tokio::select! {
             Some(ended) = going.join_next() => {
                 let (run, ending) = ended.context("the task of a run failed")?;
-                tally.finished += usize::from(ending == Ending::Finished);
-                tally.failed += usize::from(matches!(ending, Ending::Failed(_)));
-                tally.misplaced += usize::from(matches!(ending, Ending::Misplaced(_)));
-                tally.stopped += usize::from(ending == Ending::Stopped);
+                match &ending {
+                    Ending::Finished => tally.finished += 1,
+                    Ending::Failed(_) => tally.failed += 1,
+                    Ending::Misplaced(_) => tally.misplaced += 1,
+                    Ending::Stopped => tally.stopped += 1,
+                }
                 progress.ended(&run, &ending);
             }
             () = tokio::time::sleep(POLL_INTERVAL) => progress.show(runs, going.len()),

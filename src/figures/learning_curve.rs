@@ -76,8 +76,9 @@ impl Quantity {
         };
         let mut points = match self {
             Self::Return => {
-                let measured: Vec<_> = metrics::measured(lines).collect();
-                metrics::comparable(measured).map(|one| (one.env_steps as f64, one.mean)).collect()
+                let measured = metrics::measured(lines);
+                let points = metrics::comparable(&measured);
+                points.map(|one| (one.env_steps as f64, one.mean)).collect()
             }
             Self::Surprise => of_figure("surprise_entropy_bound"),
             Self::Information => of_figure("mi_estimate"),

@@ -200,11 +200,6 @@ pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     Target::fixed(path)?.write(bytes)
 }
 
-/// Creates a folder and its parents if necessary.
-pub(crate) fn folder(path: &Path) -> anyhow::Result<()> {
-    Ok(durable::make_folder(path)?)
-}
-
 /// Creates the folder that `option` names, if necessary. Refuses it if the folder around it does not exist, which is
 /// probably a misspelt path, or if it is a file or a new folder with the name of one.
 pub(crate) fn option_folder(option: &str, path: &Path) -> anyhow::Result<()> {
@@ -220,7 +215,7 @@ pub(crate) fn option_folder(option: &str, path: &Path) -> anyhow::Result<()> {
         );
     }
     check_parent(option, path)?;
-    folder(path)
+    Ok(durable::make_folder(path)?)
 }
 
 #[cfg(test)]

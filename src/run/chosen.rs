@@ -131,7 +131,7 @@ pub(crate) fn of_run(run: &Path, which: &Which) -> anyhow::Result<PathBuf> {
         }
         Which::Best => {
             let lines = all_lines(&run.join(METRICS))?;
-            let returns = metrics::returns(metrics::measured(&lines).collect::<Vec<_>>());
+            let returns = metrics::returns(&metrics::measured(&lines));
             checkpoint::best(run, &returns)?.ok_or_else(|| {
                 let why =
                     "has no checkpoint whose policies are evaluated; name an iteration, or last";

@@ -17,8 +17,8 @@ use serde_json::Value;
 use crate::config::ConfigError;
 use crate::config::run_config::RunConfig;
 use crate::figures::chart;
-use crate::run::start;
 use crate::run::stored::{own_settings, settings_in};
+use crate::run::{build_of, start};
 
 /// The lines of a file by their iteration.
 pub(crate) type Lines = BTreeMap<u64, Value>;
@@ -173,11 +173,8 @@ impl Recorded {
     /// Versions and commits of the programs that computed the run.
     pub(crate) fn builds(&self) -> anyhow::Result<BTreeSet<String>> {
         let starts = all_lines(&self.folder.join(STARTS))?;
-        let build = |start: &Value| {
-            // Others may have written the file.
-            let field = |name: &str| printable(start[name].as_str().unwrap_or("unknown"));
-            format!("{}+{}", field("version"), field("git_commit"))
-        };
+        // Others may have written the file.
+        let build = |start: &Value| printable(&build_of(start));
         Ok(starts.iter().chain([&self.manifest]).map(build).collect())
     }
 }

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use learner::store::run_folder::{CONFIG, MANIFEST, RunFolder};
 use proto::Digest;
-use serde_json::Value;
 
 use crate::config::keys::{START, START_SHA256};
 use crate::config::message_steps::MESSAGE;
@@ -13,7 +12,7 @@ use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, keys};
 use crate::errors::Usage;
 use crate::figures::chart;
-use crate::run::BUILD;
+use crate::run::{BUILD, build_of};
 
 const DECAYS: &str =
     "with update.learning_rate_decay = linear every step depends on the length of the run";
@@ -132,12 +131,6 @@ pub(crate) fn warn_of_other_build(folder: &Path) {
             folder.display()
         );
     }
-}
-
-/// Version and commit in a run's manifest, as [`BUILD`] has them.
-fn build_of(manifest: &Value) -> String {
-    let recorded = |key: &str| manifest[key].as_str().unwrap_or("unknown");
-    format!("{}+{}", recorded("version"), recorded("git_commit"))
 }
 
 fn may_change() -> String {

@@ -14,7 +14,7 @@ use crate::config::run_config::RunConfig;
 use crate::config::{ConfigError, Resolved, layers};
 use crate::errors::Usage;
 use crate::process::shell;
-use crate::process::target::{self, Existing, Target};
+use crate::process::target::{Existing, Target};
 
 /// Longest name of a folder that file systems allow, bytes.
 pub(crate) const LONGEST_NAME: usize = 255;
@@ -117,7 +117,7 @@ pub(crate) fn target(
         None if !path.exists() => PathBuf::from(format!("{}.{extension}", path.display())),
         None => {
             let file = folder_of(path, option)?.join(own);
-            file.parent().map_or(Ok(()), target::folder)?;
+            file.parent().map_or(Ok(()), durable::make_folder)?;
             file
         }
     };

@@ -20,6 +20,7 @@ use crate::run::offered::RunEnvironment;
 use crate::run::pretrained;
 use crate::run::recorded::all_lines;
 use crate::run::run_path::demand_run;
+use crate::run::{BUILD, build_of};
 
 /// The file with the settings of the run in `folder`, and what it says: `config.toml`, or the newest checkpoint's copy if
 /// `config.toml` is damaged or has other semantic settings than the run.
@@ -65,8 +66,6 @@ pub(crate) struct Trained {
     pub(crate) policy: PolicySnapshot,
     /// Name of their weights.
     pub(crate) weights: WeightsName,
-    /// Hash of the run's semantic settings.
-    pub(crate) config_sha256: String,
 }
 
 impl Trained {
@@ -128,8 +127,7 @@ pub(crate) fn trained(run: &Path) -> anyhow::Result<Trained> {
     let (iteration, env_steps) = (loaded.checkpoint.iteration, loaded.checkpoint.env_steps);
     let digest = Digest::of(&loaded.checkpoint.policy);
     let weights = WeightsName { version: PolicyVersion(iteration), digest };
-    let config_sha256 = loaded.manifest.config_sha256;
-    Ok(Trained { config, iteration, env_steps, policy, weights, config_sha256 })
+    Ok(Trained { config, iteration, env_steps, policy, weights })
 }
 
 /// Metadata that identifies the run and the policy of a file.
@@ -141,7 +139,7 @@ pub(crate) fn metadata(trained: &Trained, task: &str) -> BTreeMap<String, String
         ("seed".to_owned(), trained.config.run.seed.to_string()),
         ("iteration".to_owned(), trained.iteration.to_string()),
         ("env_steps".to_owned(), trained.env_steps.to_string()),
-        ("config_sha256".to_owned(), trained.config_sha256.clone()),
+        ("config_sha256".to_owned(), policy::arrays::hex(&resolved.sha256())),
     ])
 }
 
@@ -196,12 +194,11 @@ fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
     else {
         return error;
     };
-    let recorded = |field: &str| manifest[field].as_str().unwrap_or("unknown").to_owned();
-    let (version, commit) = (recorded("version"), recorded("git_commit"));
-    if (version.as_str(), commit.as_str()) == (env!("CARGO_PKG_VERSION"), env!("S2MIA_GIT_COMMIT"))
-    {
+    if build_of(&manifest) == BUILD {
         return error;
     }
+    let recorded = |field: &str| manifest[field].as_str().unwrap_or("unknown").to_owned();
+    let (version, commit) = (recorded("version"), recorded("git_commit"));
     let detail = format!(
         "unknown key `{key}`: another version made the run, {version}, commit {commit}; train again"
     );

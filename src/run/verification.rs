@@ -13,7 +13,7 @@ use anyhow::{Context as _, ensure};
 use learner::config::EPISODES_LIMIT;
 use learner::observe::event::Event;
 use learner::store::checkpoint::Loaded;
-use learner::store::run_folder::{METRICS, PROVENANCE, RunFolder, START_POLICIES};
+use learner::store::run_folder::{FOREIGN_ACTORS, METRICS, PROVENANCE, RunFolder, START_POLICIES};
 use learner::train::provenance::BEGUN_AGAIN;
 use proto::Digest;
 use serde_json::Value;
@@ -317,7 +317,7 @@ impl<'a> Verifier<'a> {
     fn programs(&self) -> anyhow::Result<String> {
         let builds = self.recorded.builds()?;
         let others: Vec<_> = builds.iter().filter(|build| **build != BUILD).cloned().collect();
-        let foreign = self.recorded.manifest["foreign_actors"] == Value::Bool(true);
+        let foreign = self.recorded.manifest[FOREIGN_ACTORS] == Value::Bool(true);
         Ok(if !others.is_empty() {
             let others = others.join(", ");
             format!(

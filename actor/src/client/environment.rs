@@ -75,7 +75,7 @@ impl EnvironmentClient {
 
 impl Play {
     pub(crate) fn reset(&mut self, environment: u32, seed: [u8; 32]) -> Answer<View> {
-        let answer = self.ask(&PlayRequest::Reset { environment, seed })?;
+        let answer = self.ask(PlayRequest::Reset { environment, seed })?;
         self.read(View::from_wire(&answer, &self.spec))
     }
 
@@ -101,7 +101,7 @@ impl Play {
     /// Steps environments; `actions` is `[n, act]` for each agent.
     pub(crate) fn step(&mut self, environments: Vec<u32>, actions: Vec<Vec<f32>>) -> Answer<Steps> {
         let count = environments.len();
-        let answer = self.ask(&PlayRequest::Step { environments, actions })?;
+        let answer = self.ask(PlayRequest::Step { environments, actions })?;
         self.read(Steps::from_wire(&answer, &self.spec, count))
     }
 
@@ -110,26 +110,18 @@ impl Play {
     }
 
     /// Sends a request and blocks until the answer arrives. A failure closes the stream.
-    fn ask(&mut self, request: &PlayRequest) -> Answer<wire::PlayResponse> {
-        self.blocking(1, async |play| play.exchange(request.to_wire()).await)
+    fn ask(&mut self, request: PlayRequest) -> Answer<wire::PlayResponse> {
+        let mut answers = self.ask_all(vec![request])?;
+        Ok(answers.pop().expect("each request has an answer"))
     }
 
     /// Sends requests without waiting for the answers in between. Blocks until all answers have arrived. A failure
     /// closes the stream.
     fn ask_all(&mut self, requests: Vec<PlayRequest>) -> Answer<Vec<wire::PlayResponse>> {
-        self.blocking(requests.len() as u32, async |play| play.exchange_all(requests).await)
-    }
-
-    /// Blocks until the exchange of `count` requests and answers has ended.
-    fn blocking<T>(
-        &mut self,
-        count: u32,
-        exchange: impl AsyncFnOnce(&mut Self) -> Result<T, Status>,
-    ) -> Answer<T> {
         let runtime = self.runtime.clone();
         let answered = runtime.block_on(async {
-            let deadline = ANSWER_DEADLINE.saturating_mul(count);
-            let answered = tokio::time::timeout(deadline, exchange(self)).await;
+            let deadline = ANSWER_DEADLINE.saturating_mul(requests.len() as u32);
+            let answered = tokio::time::timeout(deadline, self.exchange_all(requests)).await;
             answered.unwrap_or_else(|_| {
                 let secs = deadline.as_secs();
                 Err(Status::deadline_exceeded(format!("no answer within {secs} s")))

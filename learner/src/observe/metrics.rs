@@ -61,30 +61,28 @@ impl MeasuredReturn {
 }
 
 /// The results of the evaluations in the lines of `metrics.jsonl`.
-pub fn measured(lines: &[Value]) -> impl Iterator<Item = MeasuredReturn> {
+pub fn measured(lines: &[Value]) -> Vec<MeasuredReturn> {
     let evaluations = lines.iter().filter(|line| line["kind"] == "evaluation");
-    evaluations.filter_map(|line| {
+    let measured = |line: &Value| {
         Some(MeasuredReturn {
             iteration: line["iteration"].as_u64()?,
             env_steps: line["env_steps"].as_u64()?,
             mean: line["mean"].as_f64()?,
             sampled: line["sampled"].as_bool().unwrap_or(false),
         })
-    })
+    };
+    evaluations.filter_map(measured).collect()
 }
 
 /// The results that can be compared with each other: those with actions of the same kind, mean or sampled, as in the last
 /// evaluation.
-pub fn comparable(
-    all: impl IntoIterator<Item = MeasuredReturn> + Clone,
-) -> impl Iterator<Item = MeasuredReturn> {
-    let last = all.clone().into_iter().last();
-    all.into_iter().filter(move |one| last.is_some_and(|last| last.sampled == one.sampled))
+pub fn comparable(all: &[MeasuredReturn]) -> impl Iterator<Item = &MeasuredReturn> {
+    all.iter().filter(|one| all.last().is_some_and(|last| last.sampled == one.sampled))
 }
 
 /// The mean returns of the [`comparable`] results.
 #[must_use]
-pub fn returns(all: impl IntoIterator<Item = MeasuredReturn> + Clone) -> Returns {
+pub fn returns(all: &[MeasuredReturn]) -> Returns {
     comparable(all).map(|one| (one.iteration, one.mean)).collect()
 }
 
@@ -99,7 +97,7 @@ impl Metrics {
         iteration: u64,
     ) -> Result<(Self, Vec<MeasuredReturn>), FileError> {
         let (lines, kept) = JsonLines::cut(&run_folder.join(METRICS), iteration)?;
-        let measured = measured(&kept).collect();
+        let measured = measured(&kept);
         let events = EventFile::make(&run_folder.join(TENSORBOARD), &kept, SystemTime::now())?;
         let mut curves = Curves::default();
         kept.iter().for_each(|line| curves.add(line));
@@ -221,7 +219,7 @@ mod tests {
             metrics.iteration(&report(iteration + 1)).unwrap();
         }
         let (_, measured) = Metrics::open(folder.path(), 3).unwrap();
-        assert_eq!(returns(measured), Returns::from([(0, 1.0), (2, 1.0)]));
+        assert_eq!(returns(&measured), Returns::from([(0, 1.0), (2, 1.0)]));
     }
 
     #[test]
@@ -231,8 +229,8 @@ mod tests {
             MeasuredReturn { iteration, env_steps, mean, sampled }
         };
         let all = [of(0, 9.0, false), of(2, 1.0, true), of(4, 2.0, true)];
-        assert_eq!(returns(all), Returns::from([(2, 1.0), (4, 2.0)]));
-        assert_eq!(returns([all[1], all[0]]), Returns::from([(0, 9.0)]));
-        assert!(returns([]).is_empty());
+        assert_eq!(returns(&all), Returns::from([(2, 1.0), (4, 2.0)]));
+        assert_eq!(returns(&[all[1], all[0]]), Returns::from([(0, 9.0)]));
+        assert!(returns(&[]).is_empty());
     }
 }

@@ -33,10 +33,7 @@ impl JsonLines {
     /// # Errors
     /// Names the file if it cannot be read or written.
     pub fn cut(path: &Path, iteration: u64) -> Result<(Self, Vec<Value>), FileError> {
-        let text = match plain_file::read(path) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
-            bytes => bytes.map_err(FileError::of("read", path))?,
-        };
+        let text = plain_file::read_if_present(path).map_err(FileError::of("read", path))?;
         let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         // A crash may leave half of the last line.
         let whole = durable::whole_lines(&text);
@@ -123,10 +120,7 @@ impl JsonLines {
 /// # Errors
 /// Names the file if it cannot be read or written.
 pub(crate) fn move_damaged(path: &Path) -> Result<(), FileError> {
-    let text = match plain_file::read(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        bytes => bytes.map_err(FileError::of("read", path))?,
-    };
+    let text = plain_file::read_if_present(path).map_err(FileError::of("read", path))?;
     let lines = text[..durable::whole_lines(&text)].split_inclusive(|byte| *byte == b'\n');
     let (whole, damaged): (Vec<&[u8]>, Vec<&[u8]>) =
         lines.partition(|line| matches!(serde_json::from_slice(line), Ok(Value::Object(_))));

@@ -44,6 +44,17 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Content of a plain file; none if it does not exist.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn read_if_present(path: &Path) -> io::Result<Vec<u8>> {
+    match read(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+        bytes => bytes,
+    }
+}
+
 /// Text of a plain file.
 ///
 /// # Errors

@@ -38,7 +38,7 @@ const ADDRESS: &str = "address";
 const LOCK_ATTEMPTS: u32 = 50;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 /// Manifest field: whether a result of an actor without a fingerprint counts, which may not be repeatable.
-const FOREIGN_ACTORS: &str = "foreign_actors";
+pub const FOREIGN_ACTORS: &str = "foreign_actors";
 
 /// A run folder that this process alone may write to, until it is dropped.
 #[derive(Debug)]

@@ -84,7 +84,7 @@ impl Evaluations {
 
     /// The results that can be compared with each other.
     pub(crate) fn returns(&self) -> Returns {
-        returns(self.measured.iter().copied())
+        returns(&self.measured)
     }
 
     /// The evaluation whose result is outstanding.

@@ -105,10 +105,12 @@ impl Element {
         }
         for (name, value) in &top.attributes {
             let old = self.attributes.get(name).map_or("", String::as_str);
-            let value = match PADDED.contains(&name.as_str()) {
-                true => filled(value, old),
-                false if value.trim().is_empty() && !old.is_empty() => continue,
-                false => value.clone(),
+            let value = if PADDED.contains(&name.as_str()) {
+                filled(value, old)
+            } else if value.trim().is_empty() && !old.is_empty() {
+                continue;
+            } else {
+                value.clone()
             };
             self.attributes.insert(name.clone(), value);
             match top.stated.get(name).or(top.place.as_ref()) {

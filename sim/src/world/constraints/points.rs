@@ -146,7 +146,7 @@ pub(super) fn is_repeated(points: &[TrackedContact<()>], index: usize) -> bool {
     let is_appended = [point.fid1, point.fid2] == [PackedFeatureId::UNKNOWN; 2];
     let is_there =
         |other: &TrackedContact<()>| (other.local_p1 - point.local_p1).length() < SAME_POINT;
-    let stands_before = points[..index].iter().any(|other| {
+    let is_covered_before = points[..index].iter().any(|other| {
         (is_there(other) && other.dist - point.dist <= SAME_POINT)
             || (is_appended && index + 1 == points.len() && other.dist < point.dist + SAME_POINT)
     });
@@ -154,15 +154,15 @@ pub(super) fn is_repeated(points: &[TrackedContact<()>], index: usize) -> bool {
         let is_deeper = point.dist - other.dist > SAME_POINT;
         is_there(other) && is_deeper && !is_repeated(points, later)
     };
-    stands_before || points.iter().enumerate().skip(index + 1).any(replaces)
+    is_covered_before || points.iter().enumerate().skip(index + 1).any(replaces)
 }
 
 /// MuJoCo's frame of a contact: the normal, and two tangents, the first of them along `along` as far as possible.
 pub(super) fn frame(normal: Vector, along: Vector) -> [Vector; 3] {
-    let towards = match along.length() < 0.5 {
-        true if normal.y.abs() < 0.5 => Vector::Y,
-        true => Vector::Z,
-        false => along,
+    let towards = if along.length() < 0.5 {
+        if normal.y.abs() < 0.5 { Vector::Y } else { Vector::Z }
+    } else {
+        along
     };
     let tangent = towards - normal * towards.dot(normal);
     // A capsule that stands on its end has no direction in the plane.
