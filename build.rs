@@ -1,4 +1,4 @@
-//! Tells the program which commit and compiler it was built from.
+//! Passes the commit and the compiler's version to the program.
 
 use std::process::Command;
 
@@ -14,12 +14,12 @@ fn main() {
     let given = || std::env::var("GIT_COMMIT").ok().filter(|commit| !commit.is_empty());
     let commit = printed(Command::new("git").args(["rev-parse", "HEAD"])).or_else(given);
     let rustc = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
-    tell("S2MIA_GIT_COMMIT", commit);
-    tell("S2MIA_RUSTC", printed(Command::new(rustc).arg("--version")));
+    pass("S2MIA_GIT_COMMIT", commit);
+    pass("S2MIA_RUSTC", printed(Command::new(rustc).arg("--version")));
 }
 
 /// Passes the first line of a text to the program; "unknown" without one.
-fn tell(variable: &str, text: Option<String>) {
+fn pass(variable: &str, text: Option<String>) {
     let text = text.unwrap_or_default();
     let line = text.lines().next().unwrap_or("unknown");
     println!("cargo:rustc-env={variable}={line}");

@@ -254,7 +254,8 @@ impl Requests {
     }
 }
 
-/// Whether the process was started with this signal ignored. Where the system has no `/proc`, a shell tells, which inherits that.
+/// Whether the process was started with this signal ignored. Where the system has no `/proc`, a shell, which inherits
+/// that, tests it.
 fn is_ignored(kind: SignalKind) -> bool {
     let Ok(status) = std::fs::read_to_string("/proc/self/status") else {
         return survives(&mut std::process::Command::new("sh"), kind);
@@ -264,7 +265,7 @@ fn is_ignored(kind: SignalKind) -> bool {
     mask & (1 << (kind.as_raw_value() - 1)) != 0
 }
 
-/// Whether a shell lives on after it sends itself a signal.
+/// Whether a shell continues after it sends itself a signal.
 fn survives(shell: &mut std::process::Command, kind: SignalKind) -> bool {
     let script = format!("kill -{} $$", kind.as_raw_value());
     shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());

@@ -292,7 +292,7 @@ fn manifest(config: &RunConfig, offered: &Offered) -> serde_json::Value {
         "seed": config.run.seed,
     });
     if !config.environment.url.is_empty() {
-        // Without the other program, nothing else tells them.
+        // No other file has the names, and the other program need not run.
         let names = offered.spec.agents.iter().map(|agent| agent.name.as_str());
         manifest[AGENTS] = names.collect();
     }

@@ -82,10 +82,10 @@ pub(crate) async fn process_lease(
     own: &Registered,
     mut steps: LeaseSteps<'_>,
     lease: LeaseId,
-    pace: Duration,
+    heartbeat_interval: Duration,
 ) -> Result<Ended, ActorError> {
     let beat = Heartbeat { actor: own.actor, incarnation: own.incarnation, lease, slot_step: 0 };
-    let ended = stream(client, &mut steps, beat, pace).await;
+    let ended = stream(client, &mut steps, beat, heartbeat_interval).await;
     // Also if no stream could be opened: the next lease must not get this one's results.
     steps.progress.cancelled.store(true, Ordering::Relaxed);
     while steps.held.is_some() {
@@ -113,14 +113,16 @@ async fn give_back(
     };
     let Heartbeat { actor, incarnation, lease, .. } = *beat;
     let detail = error.to_string();
-    let told =
+    let returned =
         client.return_lease(&ReturnedLease { actor, incarnation, lease, failure, detail }).await;
-    match (failure, told) {
+    match (failure, returned) {
         // Another lease may have other start states.
-        (LeaseFailure::StartState, told) => told.map(|()| Ended::Dropped(error.to_string())),
+        (LeaseFailure::StartState, returned) => {
+            returned.map(|()| Ended::Dropped(error.to_string()))
+        }
         (LeaseFailure::Environment, Ok(())) => Err(error),
-        (LeaseFailure::Environment, Err(untold)) => {
-            tracing::warn!("lease {lease} could not be returned: {untold}");
+        (LeaseFailure::Environment, Err(error_of_return)) => {
+            tracing::warn!("lease {lease} could not be returned: {error_of_return}");
             Err(error)
         }
     }
@@ -135,14 +137,14 @@ async fn stream(
     client: &mut Client,
     steps: &mut LeaseSteps<'_>,
     mut beat: Heartbeat,
-    pace: Duration,
+    heartbeat_interval: Duration,
 ) -> Result<Ended, ActorError> {
     let progress = Arc::clone(&steps.progress);
     // Before the round trip that opens the stream.
     steps.start_if_free()?;
     let mut push = client.open_push().await?;
-    let mut pulse = tokio::time::interval(pace);
-    pulse.tick().await;
+    let mut heartbeats = tokio::time::interval(heartbeat_interval);
+    heartbeats.tick().await;
     let mut unacknowledged = 0_usize;
     loop {
         tokio::select! {
@@ -165,7 +167,7 @@ async fn stream(
                     return Ok(Ended::Finished);
                 }
             }
-            _ = pulse.tick() => {
+            _ = heartbeats.tick() => {
                 beat.slot_step = progress.step.load(Ordering::Relaxed);
                 if !client.heartbeat(&beat).await?.lease_valid {
                     return Ok(Ended::Dropped("the learner has revoked it".to_owned()));

@@ -61,7 +61,7 @@ pub async fn run(config: ActorConfig, stop: watch::Receiver<bool>) -> Result<(),
 
 /// State that all connections of an actor process share.
 struct Process {
-    /// Tells the learner which connections are of this process.
+    /// Id by which the learner recognises the connections of this process.
     id: ProcessId,
     config: ActorConfig,
     log: Option<Log>,
@@ -238,10 +238,10 @@ impl LeaseWorker<'_> {
         let id = lease.id;
         let client = &mut self.client;
         let own = &self.thread.own;
-        let pace = Duration::from_secs_f64(self.run.heartbeat_secs);
+        let heartbeat_interval = Duration::from_secs_f64(self.run.heartbeat_secs);
         let policy = client.weights(&self.connection.process.weights, lease.weights).await?;
         let steps = LeaseSteps::new(&self.thread.stepper, turn, lease, policy);
-        match process_lease(client, own, steps, id, pace).await? {
+        match process_lease(client, own, steps, id, heartbeat_interval).await? {
             Ended::Finished => {}
             Ended::Dropped(why) => tracing::warn!("lease {id} dropped: {why}; requesting another"),
         }

@@ -7,7 +7,7 @@ HASAC's update is that of `tests/reference/hasac.py` in single precision.
 
 Needs Rust, too: it has `cargo bench -p s2mia -- SECTION --json` measure our side between its own rounds. Per round
 and case both sides run once; medians are compared. Processor seconds are those of one thread and hold beside other
-work; with two threads only the wall clock tells, on a machine that does nothing else.
+work; with two threads only wall time is valid, on a machine that does nothing else.
 """
 
 import argparse
@@ -187,7 +187,7 @@ class Update:
             return known[1], posterior(features, others)
 
     def climb(self, agent, advantage, factor, known):
-        """Epochs of Eq. (10); gives the factor M for whoever comes next."""
+        """Epochs of Eq. (10); returns the factor M for the next agent."""
         old, (q_mean, q_sigma) = known
         cap, actor = KAPPA * self.shape["action"], self.actors[agent]
         columns, parts = advantage.shape[1], self.shape["minibatches"]

@@ -19,7 +19,7 @@ use crate::update::TASKS;
 pub(crate) const COLD: usize = 2;
 
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
-const PATIENCE: Duration = Duration::from_secs(120);
+const TIMEOUT: Duration = Duration::from_secs(120);
 
 const WIDE: [&str; 2] = ["policy.encoder=128", "policy.hidden=128"];
 
@@ -59,8 +59,8 @@ fn row(task: &str, name: &str, more: &[&str], effort: Effort) -> anyhow::Result<
     let figures = vec![
         ("env steps/s", steps / median(watched.lasted())),
         ("iteration, s", median(watched.lasted())),
-        ("rollout, s", median(watched.told("rollout_secs"))),
-        ("update, s", median(watched.told("update_secs"))),
+        ("rollout, s", median(watched.values_of("rollout_secs"))),
+        ("update, s", median(watched.values_of("update_secs"))),
         ("learner, MB", watched.learner),
         ("learner and actors, MB", watched.learner + watched.others),
     ];
@@ -101,7 +101,7 @@ impl Watched {
     }
 
     /// One figure of the metrics in each of them.
-    pub(crate) fn told(&self, name: &str) -> Vec<f64> {
+    pub(crate) fn values_of(&self, name: &str) -> Vec<f64> {
         self.between(|line, _| line.metrics[name].as_f64().unwrap_or(f64::NAN))
     }
 
@@ -129,7 +129,7 @@ pub(crate) fn watch(mut process: Child, metrics: &Path) -> anyhow::Result<Watche
             let now = children(process.id()).into_iter();
             others.extend(now.map(|child| (child, peak_megabytes(child))));
         }
-        if moved.elapsed() > PATIENCE {
+        if moved.elapsed() > TIMEOUT {
             process.kill()?;
             bail!("{} stands still", metrics.display());
         }

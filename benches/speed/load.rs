@@ -88,13 +88,13 @@ fn row(actors: usize, effort: Effort) -> anyhow::Result<CaseRow> {
 }
 
 fn figures(watched: &Watched, bytes: f64) -> Vec<(&'static str, f64)> {
-    let collected = median(watched.told("rollout_secs"));
+    let collected = median(watched.values_of("rollout_secs"));
     vec![
         ("iteration, s", median(watched.lasted())),
         ("collected in, s", collected),
         ("MB/s", bytes / 1e6 / collected),
         ("env steps/s", (SLOTS * STEPS) as f64 / collected),
-        ("update, s", median(watched.told("update_secs"))),
+        ("update, s", median(watched.values_of("update_secs"))),
         ("learner, processor s", median(watched.used())),
         ("actors, processor s", median(watched.used_here())),
         ("learner, MB", watched.learner),

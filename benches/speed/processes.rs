@@ -7,9 +7,9 @@ const TICKS: f64 = 100.0;
 
 /// User and system processor time of all threads of a process, seconds.
 pub(crate) fn processor_secs(process: u32) -> f64 {
-    let told = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    let text = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
     // The second field is the program's name in brackets, which may contain spaces.
-    let fields = told.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let fields = text.rsplit(')').next().unwrap_or_default().split_whitespace();
     let ticks: Vec<f64> = fields.skip(11).take(2).filter_map(|field| field.parse().ok()).collect();
     if ticks.len() == 2 { (ticks[0] + ticks[1]) / TICKS } else { f64::NAN }
 }
@@ -28,7 +28,7 @@ pub(crate) fn children(parent: u32) -> Vec<u32> {
 
 /// One number of a process's status.
 fn status(process: u32, field: &str) -> Option<f64> {
-    let told = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = told.lines().find_map(|line| line.strip_prefix(field))?;
+    let text = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix(field))?;
     line.split_whitespace().next()?.parse().ok()
 }

@@ -47,8 +47,8 @@ impl CaseSettings {
     pub(crate) fn of(arguments: &[&str]) -> anyhow::Result<Self> {
         let mut config = program(&[&["config"], arguments].concat());
         let output = config.env("S2MIA__ENVIRONMENTS__PER_SLOT", "2").output()?;
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        ensure!(output.status.success(), "s2mia config {arguments:?}: {told}");
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        ensure!(output.status.success(), "s2mia config {arguments:?}: {message}");
         let resolved: Table = String::from_utf8(output.stdout)?.parse()?;
         let task = sections(&resolved, &["task", "observation"])?;
         let mut training = vec!["update", "critic", "surprise", "influence", "maddpg"];

@@ -57,7 +57,7 @@ fn check(case: &str, settings: &CaseSettings) -> anyhow::Result<()> {
     let (policy, update) = (&settings.policy, &settings.training.update);
     let epochs = if case.starts_with("halfcheetah") { 15 } else { 5 };
     let minibatches = if case.starts_with("walker2d") { 2 } else { 1 };
-    let (found, told) = if case.contains("gru") {
+    let (found, expected) = if case.contains("gru") {
         let units = if case.ends_with("gru 128") { 128 } else { 64 };
         let chunk = if case.ends_with("sequences of 200") { 200 } else { 10 };
         (
@@ -68,8 +68,8 @@ fn check(case: &str, settings: &CaseSettings) -> anyhow::Result<()> {
         ([policy.width, policy.layers, policy.backpropagation_steps], [128, 3, 1])
     };
     ensure!(
-        found == told && (update.epochs, update.minibatches) == (epochs, minibatches),
-        "{case}: expected {told:?}, {epochs} epochs, {minibatches} minibatches; found {found:?}, {} and {}",
+        found == expected && (update.epochs, update.minibatches) == (epochs, minibatches),
+        "{case}: expected {expected:?}, {epochs} epochs, {minibatches} minibatches; found {found:?}, {} and {}",
         update.epochs,
         update.minibatches,
     );

@@ -63,7 +63,7 @@ pub enum Phase {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeaseConfig {
-    /// A lease ends when nothing is heard of it for this long, seconds.
+    /// Time without a message after which a lease ends, seconds.
     pub ttl_secs: f64,
 }
 
@@ -153,8 +153,7 @@ impl LearnerConfig {
 
 impl EnvironmentsConfig {
     /// Most slots of an iteration.
-    #[must_use]
-    pub fn most_slots(&self) -> usize {
+    pub(crate) fn most_slots(&self) -> usize {
         self.count / self.per_slot.max(1)
     }
 

@@ -47,7 +47,7 @@ impl Parameters {
     ///
     /// # Errors
     /// If a name is already declared; passes on a tensor error.
-    pub fn add_all(
+    pub(crate) fn add_all(
         &mut self,
         named: Vec<(String, Vec<usize>)>,
         start: Vec<f32>,
@@ -133,7 +133,7 @@ impl Parameters {
     ///
     /// # Errors
     /// Passes on a tensor error.
-    pub fn to_arrays(&self) -> Result<NamedArrays, PolicyError> {
+    pub(crate) fn to_arrays(&self) -> Result<NamedArrays, PolicyError> {
         let values = self.values()?;
         let one = |span: &TensorSpan| {
             let shape = span.shape.clone();

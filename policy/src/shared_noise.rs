@@ -17,11 +17,11 @@ use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use crate::tanh_gaussian;
 
 /// Largest norm of a row of loadings.
-pub const LARGEST_LOADING: f32 = 0.95;
+pub(crate) const LARGEST_LOADING: f32 = 0.95;
 /// Most numbers of a signal.
-pub const MAX_SIGNAL: usize = 8;
+pub(crate) const MAX_SIGNAL: usize = 8;
 /// Most steps for which a signal stays the same.
-pub const MAX_HOLD: u32 = 10_000;
+pub(crate) const MAX_HOLD: u32 = 10_000;
 /// Initial value of the parameters `u` of learnt loadings. At 0 neither exploration nor information has a gradient.
 const INITIAL: f32 = 0.1;
 

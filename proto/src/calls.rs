@@ -11,7 +11,7 @@ use crate::{
 /// An actor's registration request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Registration {
-    /// Human-readable name of the program.
+    /// Name of the actor in the learner's log.
     pub client: String,
     /// Version and commit of the program; empty if it does not say.
     pub build: String,

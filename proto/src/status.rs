@@ -34,9 +34,9 @@ pub struct Status {
     /// Open leases, the oldest first.
     #[serde(skip)]
     pub leases: Vec<LeaseStatus>,
-    /// Slots that got a second lease because the first was slow, since the learner started.
+    /// Slots and evaluation episodes that got a second lease because the first was slow, since the learner started.
     pub slots_backed_up: u64,
-    /// Slots that another actor computed again with an equal result, since the learner started.
+    /// Slots and evaluation episodes that another actor computed again with an equal result, since the learner started.
     pub audits_agreed: u64,
 }
 

@@ -61,7 +61,7 @@ pub struct RolloutOrigin {
     pub environments: Vec<u32>,
 }
 
-/// From where an environment goes on.
+/// Start of an environment in a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentStart {
     /// Index in the whole run; part of the key of random draws.

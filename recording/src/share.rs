@@ -29,8 +29,7 @@ pub struct LoggedStep {
 
 impl LoggedShare {
     /// Episode step after the last step of the share.
-    #[must_use]
-    pub fn next_step(&self) -> u32 {
+    pub(crate) fn next_step(&self) -> u32 {
         self.head.first_step.saturating_add(self.steps.len() as u32)
     }
 }

@@ -76,7 +76,7 @@ impl FilmRecorder {
         self.film.ends.extend(ends.flatten().flatten());
     }
 
-    /// Returns the film.
+    /// The frames captured so far.
     #[must_use]
     pub fn film(self) -> Film {
         self.film

@@ -138,12 +138,12 @@ mod tests {
 
     #[test]
     fn only_a_first_byte_of_another_protocol_is_plain_text() {
-        let told = |why: InvalidMessage| {
+        let explained = |why: InvalidMessage| {
             let error = rustls::Error::InvalidMessage(why);
             explain_rejection(&io::Error::new(io::ErrorKind::InvalidData, error))
         };
         let plain = "the peer speaks plain text, but this learner requires TLS";
-        assert_eq!(told(InvalidMessage::InvalidContentType), plain);
-        assert!(told(InvalidMessage::MessageTooLarge).contains("MessageTooLarge"));
+        assert_eq!(explained(InvalidMessage::InvalidContentType), plain);
+        assert!(explained(InvalidMessage::MessageTooLarge).contains("MessageTooLarge"));
     }
 }

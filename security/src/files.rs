@@ -217,7 +217,7 @@ fn is_authority(
     Ok(matches!(objection, CaUsedAsEndEntity))
 }
 
-/// Whether the certificate is older than X.509 version 3. Rustls accepts such an authority, but cannot tell its period.
+/// Whether the certificate is older than X.509 version 3. Rustls accepts such an authority, but cannot read its period.
 fn is_of_old_version(certificate: &CertificateDer<'_>) -> bool {
     matches!(EndEntityCert::try_from(certificate), Err(webpki::Error::UnsupportedCertVersion))
 }

@@ -112,7 +112,7 @@ impl World {
     }
 
     /// Sets the activations of the motors that have one, `[m]`, which are 0 after a rebuild.
-    pub fn set_activations(&mut self, activations: &[f32]) {
+    pub(crate) fn set_activations(&mut self, activations: &[f32]) {
         let own = self.drives.activations();
         own.zip(activations).for_each(|(own, activation)| *own = *activation);
     }

@@ -161,7 +161,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     }
     if arguments.report {
         demand_any(&file, &runs, &record)?;
-        return tell(&file, &runs);
+        return report(&file, &runs);
     }
     record.demand_new(&file.record, &selected)?;
     run_state::make_folder(&file, &runs, others(arguments))?;
@@ -175,14 +175,14 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let (mut tally, stopped) = runtime.block_on(bring_to_end(&missing, at_once))?;
     tally.finished += recorded.len();
     let is_done = |run: &PlannedRun| record.holds(run) || is_finished(run);
-    let told = if arguments.selection() == Selection::All || runs.iter().all(is_done) {
-        tell(&file, &runs)
+    let reported = if arguments.selection() == Selection::All || runs.iter().all(is_done) {
+        report(&file, &runs)
     } else {
         output::line(rest(&tally, selected.len(), arguments));
         Ok(())
     };
-    match (told, finish(&tally, selected.len(), stopped.then_some(arguments))) {
-        (told, Ok(())) => told,
+    match (reported, finish(&tally, selected.len(), stopped.then_some(arguments))) {
+        (reported, Ok(())) => reported,
         (Ok(()), failed) => failed,
         (Err(why), failed) => {
             tracing::warn!("{why:#}");
@@ -240,7 +240,7 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
     Ok((tally, stopped))
 }
 
-/// Refuses a report of nothing. Tells which folders it leaves out, because they hold runs with other settings.
+/// Refuses a report of nothing. Prints which folders it leaves out, because they hold runs with other settings.
 fn demand_any(file: &ExperimentFile, runs: &[PlannedRun], record: &Record) -> Result<(), Usage> {
     let begun = |run: &&PlannedRun| !record.holds(run) && RunFolder::holds_run(&run.folder);
     let left_out: Vec<String> = runs.iter().filter(begun).filter_map(mismatch).collect();
@@ -270,7 +270,7 @@ fn rest(tally: &Tally, planned: usize, arguments: &ExperimentArguments) -> Strin
 }
 
 /// Writes and prints the report. Runs that it leaves out because their folders are damaged are named, the first in the error.
-fn tell(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
+fn report(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
     let report = report::write(file, runs)?;
     output::line(report.table);
     report.written.iter().for_each(|path| output::line(path.display()));

@@ -85,7 +85,7 @@ fn packed(config: RunConfig) -> String {
     resolved.to_toml()
 }
 
-/// The URL of an environment with the same port on the machine of whoever reads it; empty for the simulator's.
+/// The URL of an environment with the same port on the reader's machine; empty for the simulator's.
 fn on_this_machine(url: &str) -> String {
     if url.is_empty() {
         return String::new();

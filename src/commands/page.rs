@@ -68,7 +68,7 @@ pub(super) fn run(arguments: &RunsPageArguments) -> anyhow::Result<()> {
     runtime()?.block_on(async {
         let advice = "choose another port, or 0 for any free one";
         let page = access.open(("--listen", *listen), advice, None).await?;
-        // A page whose address nobody knows is of no use.
+        // Without its printed address the page is useless.
         output::finish()?;
         learner::serve::page::serve(page, Arc::new(stored)).await;
         Ok(())

@@ -73,7 +73,7 @@ async fn train(
     }
     let summary = summary?;
     let length = if config.resolved.depends_on_length() { Length::Fixed } else { Length::MayRise };
-    // The run has ended well, whatever became of the file.
+    // A damaged metrics file does not make the run a failure.
     let points = learning_curve::evaluations(&folder.join(METRICS)).unwrap_or_else(|error| {
         tracing::warn!("{error:#}; the learning curve is not shown");
         Vec::new()

@@ -52,11 +52,11 @@ impl<'a> Watch<'a> {
         Self { arguments, run_id: None, seen: 0, reached: Instant::now() }
     }
 
-    /// One learner after the other; gives up when none has been reached for as long as an outage may last.
+    /// Watches the learners of the run one after the other. Fails if none could be reached for `--max-outage-secs`.
     async fn until_the_end(mut self) -> anyhow::Result<()> {
         let outage = self.arguments.max_outage_secs;
         let LearnerArgument { tls, timeout_secs, .. } = &self.arguments.learner;
-        // Once for each learner that has gone.
+        // One warning for each learner that ended.
         let mut reported = None;
         loop {
             let missing = match self.session().await {

@@ -286,7 +286,7 @@ fn read(path: &Path) -> Result<(String, String), ConfigError> {
     let unreadable = |error| ConfigError::at(&place, error);
     let file = File::open(path).map_err(unreadable)?;
     let mut bytes = Vec::new();
-    // A pipe or a device does not tell its size.
+    // The size of a pipe or a device is unknown.
     file.take(FILE_LIMIT_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
     if bytes.len() as u64 > FILE_LIMIT_BYTES {
         let detail = format!("it has more than {FILE_LIMIT_BYTES} bytes");

@@ -106,7 +106,7 @@ fn described(text: &'static str, key: &str) -> Option<&'static str> {
     })
 }
 
-/// Whether this is the text of a file of the program, which somebody gave by its path.
+/// Whether this is the text of a file of the program, which the user named by its path.
 pub(crate) fn is_text_of_one(text: &str) -> bool {
     let named = [TASKS, ALGORITHMS, PRESETS].into_iter().flatten();
     named.chain([&BASE]).any(|preset| preset.text == text)

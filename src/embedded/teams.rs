@@ -51,7 +51,7 @@ fn described(
     let world = hosted.as_ref().map(|hosted| hosted.environment.as_ref());
     let spec = world.map(EnvironmentBatch::description);
     let policies = &trained.policy.agents;
-    // Only the manifest knows what another program's environment told of itself.
+    // Only the manifest has the description of another program's environment.
     let manifest = if simulated { None } else { RunFolder::recorded(&RunFolder::of(run)) };
     let agents =
         world.map_or_else(|| agents::of_policies(policies, manifest.as_ref()), agents::of_task);

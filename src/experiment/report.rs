@@ -78,7 +78,7 @@ pub(crate) fn write(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Resul
 }
 
 /// The curves for the figures: of each variant on each task its finished runs, or the others if none is finished. An
-/// unfinished run would end the curve of all where it stands.
+/// unfinished run would end the curve of all at its last evaluation.
 fn shown_curves(curves: Vec<Curve>, finished: &[usize]) -> Vec<Curve> {
     let name = |curve: &Curve| (curve.task.clone(), curve.algorithm.clone());
     let whole: BTreeSet<_> = finished.iter().map(|&index| name(&curves[index])).collect();

@@ -132,7 +132,7 @@ impl ExperimentProgress {
         }
     }
 
-    /// Tells how a run ended.
+    /// Prints how a run ended.
     pub(crate) fn ended(&self, run: &PlannedRun, ending: &Ending) {
         let line = match ending {
             Ending::Finished => format!("{} is finished", run.name()),

@@ -113,7 +113,7 @@ pub(crate) fn demand_sbatch() -> Result<(), Usage> {
 /// Submits the script; returns what `sbatch` says.
 ///
 /// # Errors
-/// Tells what `sbatch` refuses.
+/// `sbatch` refuses the script; the error has its reason.
 pub(crate) fn submit_to_slurm(script: &Path) -> anyhow::Result<String> {
     let output = Command::new("sbatch").arg(script).output().context("cannot start sbatch")?;
     if !output.status.success() {

@@ -23,7 +23,7 @@ pub(crate) fn area(points: &[(f64, f64)], width: usize, rows: usize, x_label: &s
     lines.join("\n")
 }
 
-/// Labels at the top, the middle and the bottom of the y-axis.
+/// Labels at the top and the bottom of the y-axis.
 fn row_label(row: usize, rows: usize, low: f64, high: f64) -> String {
     match row {
         0 => format!("{high:.1}"),

@@ -22,7 +22,7 @@ const COLOURS: [Rgb; 8] = {
     [blue, vermilion, green, brown, orange, pink, black, grey]
 };
 
-/// Marks on curves, which tell them apart where colours do not.
+/// Marks on curves, which distinguish them where colours do not.
 const MARKERS: [MarkerShape; 8] = [
     MarkerShape::Circle,
     MarkerShape::Square,

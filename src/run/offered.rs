@@ -61,7 +61,7 @@ fn simulated(config: &RunConfig) -> anyhow::Result<Offered> {
     let own = config.task.definition.as_ref().and_then(|_| world.robot());
     let left_out = own.map(sim::Robot::left_out).unwrap_or_default();
     left_out.iter().for_each(|what| tracing::warn!("left out: {what}"));
-    // Nobody can change the tasks of the program.
+    // The user cannot change the tasks of the program.
     let warnings = own.map(|_| world.warnings()).unwrap_or_default();
     warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     let task_settings =

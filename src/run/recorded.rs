@@ -76,7 +76,7 @@ impl Recorded {
         Ok(Self { folder, starts, manifest, config, provenance, metrics, evaluations, checkpoints })
     }
 
-    /// Does `work` with the records of the run. Where that fails because a learner worked on the run meanwhile, the error says that.
+    /// Runs `work` on the records. If a learner changed the run meanwhile, an error says so.
     ///
     /// # Errors
     /// As `work`.

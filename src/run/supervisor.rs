@@ -20,12 +20,12 @@ use tokio::task::JoinSet;
 use crate::errors::ENVIRONMENT_OUTAGE;
 use crate::process::{self, ProcessLog};
 
-/// How long an actor may take to leave after its standard input has closed.
-const LEAVE_PATIENCE: Duration = Duration::from_secs(2);
+/// Timeout for an actor to exit after its standard input has closed.
+const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest time between an actor's end and that of its run: the learner waits up to 3 s for the others.
-const LAST_WORDS: Duration = Duration::from_secs(10);
-/// The same for an actor that has to finish and check a trajectory log.
-const LOG_PATIENCE: Duration = Duration::from_secs(60);
+const RUN_END_TIMEOUT: Duration = Duration::from_secs(10);
+/// [`EXIT_TIMEOUT`] for an actor that has to finish and check a trajectory log.
+const LOG_EXIT_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Delay before a replacement, so that a broken program does not restart continuously.
 const REPLACEMENT_PAUSE: Duration = Duration::from_millis(200);
@@ -101,8 +101,9 @@ impl Supervisor {
     async fn keep_running(self: Arc<Self>, index: usize, mut ended: watch::Receiver<bool>) {
         while !*ended.borrow() && self.failure.get().is_none() {
             let own_log = ProcessLog::before_start(&self.processes.log_path(index));
+            let exit_timeout = self.processes.exit_timeout();
             let death = match self.processes.start(index) {
-                Ok(child) => match until_exit(child, &mut ended, self.processes.patience()).await {
+                Ok(child) => match until_exit(child, &mut ended, exit_timeout).await {
                     Some(status) if !status.success() => {
                         let death = self.processes.failure_message(index, &own_log.cause(status));
                         if status.code() == Some(ENVIRONMENT_OUTAGE.into()) {
@@ -112,7 +113,7 @@ impl Supervisor {
                         death
                     }
                     // The learner says that the run is done shortly before it ends.
-                    Some(_) if !ends_within(LAST_WORDS, &mut ended).await => {
+                    Some(_) if !ends_within(RUN_END_TIMEOUT, &mut ended).await => {
                         format!("actor {index} was stopped")
                     }
                     _ => return,
@@ -177,10 +178,10 @@ impl ActorProcesses {
         vec![folder, "--log-episodes".into(), episodes.to_string().into()]
     }
 
-    fn patience(&self) -> Duration {
+    fn exit_timeout(&self) -> Duration {
         match self.log.episodes {
-            Episodes::None => LEAVE_PATIENCE,
-            _ => LOG_PATIENCE,
+            Episodes::None => EXIT_TIMEOUT,
+            _ => LOG_EXIT_TIMEOUT,
         }
     }
 
@@ -199,19 +200,19 @@ async fn ends_within(time: Duration, ended: &mut watch::Receiver<bool>) -> bool 
     tokio::time::timeout(time, ended.wait_for(|over| *over)).await.is_ok()
 }
 
-/// Waits for a process. After `ended`, closes its standard input and gives it the time `patience` to end. `None` if the
-/// run ended first.
+/// Waits for a process. After `ended`, closes its standard input and kills it after `exit_timeout`. `None` if the run
+/// ended first.
 async fn until_exit(
     mut child: Child,
     ended: &mut watch::Receiver<bool>,
-    patience: Duration,
+    exit_timeout: Duration,
 ) -> Option<ExitStatus> {
     // Without its sender the run has ended.
     let over = async { drop(ended.wait_for(|over| *over).await) };
     if let Some(status) = process::until_exit(&mut child, over).await {
         return status.ok();
     }
-    if tokio::time::timeout(patience, child.wait()).await.is_err() {
+    if tokio::time::timeout(exit_timeout, child.wait()).await.is_err() {
         // The process ignores its closed input; killing it loses nothing.
         let _killed = child.kill().await;
     }
@@ -282,7 +283,7 @@ mod tests {
                 tokio::time::sleep(Duration::from_millis(50)).await;
             }
         };
-        tokio::time::timeout(3 * LAST_WORDS, replaced).await.unwrap();
+        tokio::time::timeout(3 * RUN_END_TIMEOUT, replaced).await.unwrap();
         end.send_replace(true);
         assert_eq!(supervised.await.unwrap(), None);
     }

@@ -69,7 +69,7 @@ pub(crate) fn parts(checkpoints: &[u64], last: u64) -> Vec<Part> {
     starts.zip(ends).map(|(start, end)| Part { start, end }).collect()
 }
 
-/// The parts in an order that nobody can predict.
+/// The parts in an unpredictable order.
 pub(crate) fn shuffled(mut parts: Vec<Part>) -> Vec<Part> {
     let secret = RandomState::new();
     parts.sort_by_cached_key(|part| secret.hash_one(part.start));
@@ -332,7 +332,7 @@ impl<'a> Verifier<'a> {
     }
 }
 
-/// Tries to remove a temporary folder.
+/// Most attempts to remove a temporary folder.
 const MOST_REMOVALS: usize = 100;
 
 /// A temporary folder that is removed with this value.

@@ -267,7 +267,7 @@ def disturb_shortly(cluster: Cluster) -> None:
 
 
 def disturb(cluster: Cluster) -> None:
-    """Scales, kills and cuts off while the run goes on."""
+    """Scales, kills and cuts off while the run continues."""
     cluster.wait_for("a healthy learner", cluster.healthy)
     cluster.pass_iteration(5)
     cluster.scale(4)

@@ -15,7 +15,7 @@ from conftest import TINY, program, s2mia
 from kustomize import rendered
 
 OVERLAY = Path(__file__).resolve().parents[2] / "deploy" / "k8s" / "overlays" / "mtls"
-PATIENCE_SECS = 600
+TIMEOUT_SECS = 600
 
 
 def pod(role):
@@ -81,7 +81,7 @@ def metrics(port, secret, role):
 
 
 def wait_for(learner, holds):
-    deadline = time.monotonic() + PATIENCE_SECS
+    deadline = time.monotonic() + TIMEOUT_SECS
     while not holds():
         assert learner.poll() is None, "the learner has ended"
         assert time.monotonic() < deadline, "the learner does not become healthy"
@@ -114,7 +114,7 @@ def test_a_run_is_finished_with_the_certificates_of_the_secrets(mounted, ports, 
             with pytest.raises(urllib.error.HTTPError, match="403"):
                 metrics(ports[1], mounted / "actor-certificates", "actor")
             actor = pod("actor")
-            subprocess.run(command(actor["containers"][0]["args"], actor, mounted, ports), check=True, timeout=PATIENCE_SECS)
-            assert learner.wait(PATIENCE_SECS) == 0
+            subprocess.run(command(actor["containers"][0]["args"], actor, mounted, ports), check=True, timeout=TIMEOUT_SECS)
+            assert learner.wait(TIMEOUT_SECS) == 0
         finally:
             learner.kill()

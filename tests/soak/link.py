@@ -39,7 +39,7 @@ def command(*words: str) -> None:
 
 
 class Link:
-    """The hosts `near` and `far`. Packets are undisturbed until told otherwise."""
+    """The hosts `near` and `far`. Packets are undisturbed until a method changes that."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)

@@ -96,7 +96,7 @@ class Actors:
         self.frozen.append((time.monotonic() + 2.5 * LEASE_SECS, which))
 
     def thaw(self) -> None:
-        """Lets those go on that have been frozen past their leases."""
+        """Resumes the actors that have been frozen past their leases."""
         due = [one for one in self.frozen if one[0] <= time.monotonic()]
         for one in due:
             one[1].send_signal(signal.SIGCONT)
@@ -108,7 +108,7 @@ class Actors:
             one.kill()
 
     def end(self) -> None:
-        """Every actor is told that the run is over, and leaves with status 0."""
+        """Every actor receives that the run is over, and exits with status 0."""
         for _, frozen in self.frozen:
             frozen.send_signal(signal.SIGCONT)
             self.running.append(frozen)
@@ -168,7 +168,7 @@ class Soak:
             self.count("an actor is asked to leave", lambda: self.actors.signal(victim, signal.SIGTERM))
 
     def restart(self) -> None:
-        """The learner goes on with its folder, perhaps to die again or to find its disk full."""
+        """The learner resumes with its folder, perhaps to die again or to find its disk full."""
         ended, words = self.learner.process.returncode, self.learner.last_words()
         # One that is asked to stop and cannot write its last checkpoint ends with 1.
         explained = ended in self.good_ends or (ended == 1 and 0 in self.good_ends and FULL in words)

@@ -18,7 +18,7 @@ from link import ADDRESSES, Link, NoNamespaces
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PROGRAM = str(ROOT / "target" / "debug" / "s2mia")
 UNREACHABLE = 3
-PATIENCE_SECS = 300
+TIMEOUT_SECS = 300
 PORT = 50051
 URL = f"http://{ADDRESSES['near']}:{PORT}"
 SETTINGS = [
@@ -61,12 +61,12 @@ class Run:
         return json.loads(told.stdout) if told.returncode == 0 else {}
 
     def wait(self, what: str, holds) -> dict:
-        deadline = time.monotonic() + PATIENCE_SECS
+        deadline = time.monotonic() + TIMEOUT_SECS
         while not holds(status := self.status()):
             ended = [process.args[5] for process in self.processes if process.poll() is not None]
             if ended or time.monotonic() > deadline:
                 logs = "".join((self.folder / name).read_text()[-2000:] for name in ("learner.log", "actor-0.log", "actor-1.log"))
-                raise SystemExit(f"{what}: not after {PATIENCE_SECS} s, or ended: {ended}; {status}\n{logs}")
+                raise SystemExit(f"{what}: not after {TIMEOUT_SECS} s, or ended: {ended}; {status}\n{logs}")
             time.sleep(0.2)
         return status
 
@@ -84,11 +84,11 @@ class Run:
         """Stops the run; returns the iterations that are finished then."""
         subprocess.run([*self.link.on("near"), PROGRAM, "stop", URL], check=True, capture_output=True)
         learner, *actors = self.processes
-        learner.wait(timeout=PATIENCE_SECS)
+        learner.wait(timeout=TIMEOUT_SECS)
         for process in [learner, *actors]:
             # An actor that is reconnecting does not hear of the end; it leaves with 0 when it is asked to.
             process.terminate()
-            if status := process.wait(timeout=PATIENCE_SECS):
+            if status := process.wait(timeout=TIMEOUT_SECS):
                 raise SystemExit(f"a process ended with status {status}: {process.args}")
         return hashes(self.folder / "run")["iteration"]
 

@@ -63,9 +63,9 @@ fn handles(process: &Child, signal: u32) -> bool {
 /// Sends SIGTERM to a learner as soon as it handles it. Returns the first line that it printed.
 fn stopped_early(folder: &Path) -> String {
     let mut learner = started(&learner(folder, &[]));
-    let patience = Instant::now() + GRACE;
+    let deadline = Instant::now() + GRACE;
     while !handles(&learner.process, TERMINATE) {
-        assert!(Instant::now() < patience, "the learner does not handle signals");
+        assert!(Instant::now() < deadline, "the learner does not handle signals");
     }
     learner.signal("-TERM");
     let lines = learner.rest();

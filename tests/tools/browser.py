@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 
 NAMES = ["chromium", "chromium-browser", "google-chrome", "chromium-headless-shell"]
-PATIENCE_SECS = 60
+TIMEOUT_SECS = 60
 # How a test ends on a machine without a browser.
 MISSING = 3
 
@@ -68,10 +68,10 @@ class Tab:
         return answer["result"].get("value")
 
     def wait_until(self, expression: str) -> None:
-        deadline = time.monotonic() + PATIENCE_SECS
+        deadline = time.monotonic() + TIMEOUT_SECS
         while not self.evaluate(expression):
             if time.monotonic() > deadline:
-                raise SystemExit(f"not true after {PATIENCE_SECS} s: {expression}")
+                raise SystemExit(f"not true after {TIMEOUT_SECS} s: {expression}")
             time.sleep(0.2)
 
     def press(self, key: str) -> None:

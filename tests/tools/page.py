@@ -199,7 +199,7 @@ def add_evaluations(folder: pathlib.Path, positions: range, seed: int) -> None:
 
 
 def hover(page: Tab) -> None:
-    """Values are told where the pointer is."""
+    """Values at the pointer are shown."""
     values = "document.querySelector('[id=\"chart training return\"] .values').textContent"
     newest = page.evaluate(values)
     box = "document.querySelector('[id=\"chart training return\"] svg').getBoundingClientRect()"

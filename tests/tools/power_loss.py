@@ -103,7 +103,7 @@ def evaluations(run: pathlib.Path) -> list[tuple]:
 
 
 def check(state: State, root: pathlib.Path, expected: tuple) -> None:
-    """Goes on with what is left as its owner would, and compares the end."""
+    """Resumes from the files that are left as a user would, and compares the end."""
     build(state.left, root)
     run = root / RUN
     there = (run / "manifest.json").is_file() or (run / "checkpoints").is_dir()

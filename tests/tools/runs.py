@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from debian import ROOT
 
 PROGRAM = ROOT / "target" / "debug" / "s2mia"
-PATIENCE_SECS = 60
+TIMEOUT_SECS = 60
 SETTINGS = [
     "run.iterations=100000",
     "run.actors=1",
@@ -30,13 +30,13 @@ def free_port() -> int:
 
 def eventually(holds: Callable[[], bool], missing: str) -> None:
     """Asks again and again; a server that does not answer yet holds nothing."""
-    deadline = time.monotonic() + PATIENCE_SECS
+    deadline = time.monotonic() + TIMEOUT_SECS
     while time.monotonic() < deadline:
         with contextlib.suppress(OSError):
             if holds():
                 return
         time.sleep(0.2)
-    raise SystemExit(f"{missing} after {PATIENCE_SECS} s")
+    raise SystemExit(f"{missing} after {TIMEOUT_SECS} s")
 
 
 def answers(address: str) -> bool:
@@ -47,7 +47,7 @@ def answers(address: str) -> bool:
 
 @contextlib.contextmanager
 def training(folder: pathlib.Path, page: str) -> Iterator[subprocess.Popen]:
-    """`s2mia train` with its page at `page`, gone on with if `folder` holds a run, once it answers; killed at the end."""
+    """`s2mia train` with its page at `page`, resumed if `folder` holds a run, once it answers; killed at the end."""
     begun = (folder / "config.toml").exists()
     where = ["--resume", folder] if begun else ["halfcheetah-2x3", f"run.dir={folder}", *SETTINGS]
     with subprocess.Popen([PROGRAM, "train", "--page", page, *where], stdout=subprocess.DEVNULL) as process:

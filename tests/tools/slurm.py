@@ -35,7 +35,7 @@ PACKAGES = {
 NODES = ["node1", "node2"]
 # Names the node of a daemon in its environment; Slurm itself does so for the processes of a job.
 MARK = "S2MIA_TEST_NODE"
-PATIENCE_SECS = 300
+TIMEOUT_SECS = 300
 
 SLURM_CONF = """
 ClusterName=test
@@ -91,10 +91,10 @@ def not_run(why: str) -> None:
 
 
 def eventually(holds: Callable[[], bool], missing: str) -> None:
-    deadline = time.monotonic() + PATIENCE_SECS
+    deadline = time.monotonic() + TIMEOUT_SECS
     while not holds():
         if time.monotonic() > deadline:
-            raise SystemExit(f"{missing} after {PATIENCE_SECS} s")
+            raise SystemExit(f"{missing} after {TIMEOUT_SECS} s")
         time.sleep(0.2)
 
 

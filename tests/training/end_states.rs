@@ -1,4 +1,4 @@
-//! Encoded states of environments: those of an actor are checked before they count, and a run goes on from a checkpoint with
+//! Encoded states of environments: those of an actor are checked before they count, and a run continues from a checkpoint with
 //! invalid ones.
 
 use learner::lease::end_states::StateReader;

@@ -22,7 +22,7 @@ PROTOCOL_VERSION = 5
 LEASE_WAIT_MILLIS = 5_000
 # Maximum number of unacknowledged results.
 MAX_UNACKNOWLEDGED = 4
-# Tells the learner which connections are of one process, which gets no backup leases of its own slow slots.
+# Id by which the learner recognises the connections of one process, which gets no backup leases of its own slow slots.
 PROCESS = os.urandom(16)
 
 

@@ -1,4 +1,4 @@
-"""Makes the environments of `PACKAGE.module:FUNCTION`, and tells the user's mistakes from errors of the environment."""
+"""Makes the environments of `PACKAGE.module:FUNCTION`, and distinguishes the user's mistakes from errors of the environment."""
 
 import functools
 import importlib

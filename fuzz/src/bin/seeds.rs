@@ -54,7 +54,7 @@ fn lease() -> Lease {
     Lease { id: LeaseId(5), incarnation: Incarnation(11), weights, attempt: 0, work }
 }
 
-/// In the order in which the target tells its kinds apart.
+/// In the order in which the target distinguishes its kinds.
 fn messages() -> Vec<Seed> {
     let run = sample::run();
     let push = |content, digest| PushHeader::of(&lease(), digest).to_wire(content).encode_to_vec();

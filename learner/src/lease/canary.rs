@@ -12,10 +12,10 @@ use crate::lease::slots::Trust;
 /// Largest difference between the actor's and the learner's log-probability (nats) or recurrent state.
 /// Another program's rounding stays well below it, another policy does not. For standard deviations below 0.1, which only the
 /// outputs of a tanh-Gaussian have, that of a log-probability grows with their inverse.
-pub const TOLERANCE: f32 = 1e-3;
+pub(crate) const TOLERANCE: f32 = 1e-3;
 
 /// Share of the chunks that are checked whole as long as no check has failed.
-pub const SHARE: f64 = 0.125;
+pub(crate) const SHARE: f64 = 0.125;
 
 /// How much of a chunk is checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -38,7 +38,7 @@ const RETRY: Duration = Duration::from_millis(100);
 /// Connects the service to the trainer.
 #[derive(Debug)]
 pub struct Exchange {
-    /// What the run is about.
+    /// Description of the run for actors.
     pub run: RunDescription,
     begun: Instant,
     /// A blocking lock: calls from tokio tasks and from the trainer's thread hold it for microseconds and never
@@ -118,13 +118,12 @@ impl Exchange {
     }
 
     /// Ends the run as a signal does. The trainer reads the request several times a second.
-    pub fn request_stop(&self) {
+    pub(crate) fn request_stop(&self) {
         self.stop_requested.store(true, Ordering::Relaxed);
     }
 
     /// Whether a client asked the run to end.
-    #[must_use]
-    pub fn is_stop_requested(&self) -> bool {
+    pub(crate) fn is_stop_requested(&self) -> bool {
         self.stop_requested.load(Ordering::Relaxed)
     }
 
@@ -187,13 +186,13 @@ impl Exchange {
         self.change(|shared| shared.table.replace(work));
     }
 
-    /// Blocks until something is complete or fails, but not longer than `patience`.
-    pub fn wait(&self, patience: Duration) -> Wake {
+    /// Blocks until something is complete or fails, at most for `timeout`.
+    pub fn wait(&self, timeout: Duration) -> Wake {
         let shared = self.lock();
         let idle = |shared: &mut Shared| shared.wakes.is_empty();
-        let waited = self.trainer.wait_timeout_while(shared, patience, idle);
+        let waited = self.trainer.wait_timeout_while(shared, timeout, idle);
         let (mut shared, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        shared.wakes.pop_front().unwrap_or(Wake::Patience)
+        shared.wakes.pop_front().unwrap_or(Wake::Timeout)
     }
 
     /// A failure since the last wait: an audit may end after the last iteration.
@@ -247,7 +246,7 @@ impl Exchange {
         self.change(|shared| shared.table.disconnect(connection));
     }
 
-    /// Waits for work, at most `patience`.
+    /// Waits for work, at most for `timeout`.
     ///
     /// # Errors
     /// Refuses unknown actors, other incarnations, and too many leases.
@@ -256,9 +255,9 @@ impl Exchange {
         sender: ConnectionId,
         actor: ActorId,
         incarnation: Incarnation,
-        patience: Duration,
+        timeout: Duration,
     ) -> Result<LeaseAnswer, Refusal> {
-        let end = self.begun.elapsed() + patience;
+        let end = self.begun.elapsed() + timeout;
         let mut has_waited = false;
         loop {
             // Registered before the table is asked, so that no wake is missed in between.
@@ -290,7 +289,7 @@ impl Exchange {
         }
     }
 
-    /// An actor is alive.
+    /// Takes in a heartbeat.
     ///
     /// # Errors
     /// Refuses unknown actors and other incarnations.
@@ -317,7 +316,7 @@ impl Exchange {
         deadline.saturating_sub(self.begun.elapsed()) + Duration::from_millis(1)
     }
 
-    /// Every change goes through here: the table learns the time first, its effects are carried out after.
+    /// Sets the table's time, makes a change, then carries out the table's effects. Every change uses this function.
     fn change<T>(&self, act: impl FnOnce(&mut Shared) -> T) -> T {
         let mut shared = self.lock();
         shared.table.tick(self.begun.elapsed());

@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 pub struct SecretSample {
     /// Share of the keys, 0 to 1.
     pub share: f64,
-    /// Secret of this start of the learner: no actor can tell which keys are covered. No result depends on it.
+    /// Secret of this start of the learner: no actor can know which keys are covered. No result depends on it.
     pub secret: u64,
 }
 

@@ -185,7 +185,7 @@ impl SlotTable {
     }
 
     /// The weights that open work names.
-    pub fn weights_in_use(&self) -> impl Iterator<Item = WeightsName> {
+    pub(crate) fn weights_in_use(&self) -> impl Iterator<Item = WeightsName> {
         self.works.values().map(|works| works.weights).chain(self.audits.weights())
     }
 
@@ -217,8 +217,7 @@ impl SlotTable {
     }
 
     /// Whether an actor registered on this connection.
-    #[must_use]
-    pub fn is_registered(&self, connection: ConnectionId) -> bool {
+    pub(crate) fn is_registered(&self, connection: ConnectionId) -> bool {
         self.actors.has(connection)
     }
 
@@ -281,7 +280,7 @@ impl SlotTable {
         Ok(Offer::Lease(Lease { id, incarnation, weights, attempt, work }))
     }
 
-    /// An actor is alive. Whether its lease is still open.
+    /// Takes in a heartbeat; returns whether the lease is still open.
     ///
     /// # Errors
     /// Refuses actors that did not register on the sender's connection, other incarnations, and more steps than the

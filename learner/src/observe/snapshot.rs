@@ -11,7 +11,7 @@ use crate::observe::event::{Event, IterationReport, Stage, WrittenCheckpoint};
 
 /// Lines kept for watchers that are slow or connect late; the oldest is dropped.
 const KEPT_LINES: usize = 256;
-/// Films kept for the page; a film has at most 600 kB.
+/// Films kept for the page; a film has at most 0.62 MB.
 const KEPT_FILMS: usize = 16;
 
 /// Results of all audits so far, of slots and of episodes.
@@ -98,8 +98,7 @@ impl RunSnapshot {
     }
 
     /// Duration of each part of the last iteration, seconds. A checkpoint belongs to the iteration that it saves.
-    #[must_use]
-    pub fn phase_secs(&self) -> Option<[(&'static str, f64); 4]> {
+    pub(crate) fn phase_secs(&self) -> Option<[(&'static str, f64); 4]> {
         let report = self.report.as_ref()?;
         let saved = self.checkpoint.filter(|written| written.iteration == report.iteration);
         Some([

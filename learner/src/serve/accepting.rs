@@ -1,4 +1,4 @@
-//! Accepting connections. A process without free file descriptors cannot; it says so and tries again until it can.
+//! Accepting connections. Accepting fails without free file descriptors; that is logged once, and retried.
 
 use std::io;
 use std::net::SocketAddr;

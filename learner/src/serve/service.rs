@@ -39,7 +39,6 @@ mod storage;
 
 pub use operator::{Operator, WatchedLines};
 pub use policies::{ServedPolicies, serve_policies};
-pub use storage::STORAGE;
 
 /// Interval of keepalive pings on an idle connection.
 const KEEPALIVE: Duration = Duration::from_secs(20);
@@ -169,9 +168,9 @@ impl LearnerService for Learner {
         let request = request.into_inner();
         let millis = request.wait_millis.min(MAX_LEASE_WAIT_MILLIS);
         let (actor, incarnation) = (ActorId(request.actor_id), Incarnation(request.incarnation));
-        let patience = Duration::from_millis(millis.into());
+        let timeout = Duration::from_millis(millis.into());
         let sender = caller.connection;
-        let answer = self.exchange.lease(sender, actor, incarnation, patience).await;
+        let answer = self.exchange.lease(sender, actor, incarnation, timeout).await;
         let answer = answer.map_err(|refusal| self.counted(&caller, refusal))?;
         self.exchange.count_lost_log_steps(request.log_steps_lost);
         Ok(Response::new(answer.to_wire()))

@@ -55,8 +55,7 @@ pub struct Checkpoint {
     pub iteration: u64,
     /// Environment steps of all finished iterations.
     pub env_steps: u64,
-    /// All state, by `group/name`; groups are `weights`, `optimizer`, `density`, `memory`, `normalizer`, `observation`,
-    /// `replay`, `environments`, `counters`, `evaluation`.
+    /// All state, by `group/name`; the groups are those of `GROUPS`.
     pub arrays: NamedArrays,
     /// The policies as actors get them: a `policy::PolicySnapshot`.
     pub policy: Vec<u8>,

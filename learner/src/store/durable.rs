@@ -160,7 +160,7 @@ pub(crate) fn leads_to(path: &Path, open: &File) -> bool {
     }
 }
 
-/// Whether `path` leads anywhere, as far as that can be known.
+/// Whether `path` exists; true if that is unknown.
 pub(crate) fn exists(path: &Path) -> bool {
     std::fs::metadata(path).map_or_else(|error| !is_absent(&error), |_| true)
 }

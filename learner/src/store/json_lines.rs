@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::store::durable::{self, FileError};
 use crate::store::plain_file;
 
-/// Bytes that wait for a disk which takes nothing, before the run gives up.
+/// Most bytes that are buffered while the disk cannot be written; above it, `append` fails.
 const MOST_WAITING: usize = 16 << 20;
 
 /// A file of JSON lines, open for more. What the disk does not take waits, whole, for the next line.
@@ -233,7 +233,7 @@ fn objects(text: &[u8]) -> NewLines {
     new
 }
 
-/// Opens a file to append to; a new one lasts, too.
+/// Opens a file to append to; the name of a new file is flushed to disk.
 fn opened(path: &Path) -> Result<File, FileError> {
     let is_new = !path.exists();
     let file = plain_file::append(path).map_err(FileError::of("open", path))?;
@@ -313,7 +313,7 @@ mod tests {
         let mut reader = JsonLinesReader::of(path.clone());
         append(&path, "{\"iteration\":1}\n{\"iteration\":2}\n");
         assert_eq!(more(&mut reader), (vec![1, 2], true));
-        // As long as before, so that its length would not tell.
+        // As long as before, so that its length shows no change.
         append(&cut, "{\"iteration\":1}\n{\"iteration\":3}\n");
         std::fs::rename(&cut, &path).unwrap();
         assert_eq!(more(&mut reader), (vec![1, 3], true));

@@ -88,7 +88,7 @@ impl RunFolderError {
 
     fn in_use(path: &Path) -> Self {
         let process = plain_file::read_to_string(&path.join(LOCK)).unwrap_or_default();
-        // Without the lock file, the folder's own lock tells that it is in use, but not by whom.
+        // Without the lock file, the folder's own lock shows that it is in use, but not by which process.
         let process = match process.trim() {
             "" => String::new(),
             process => format!(" (process {process})"),
@@ -119,7 +119,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// The folder holds no run or another one, is in use, or cannot be written.
-    pub fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
+    pub(crate) fn claim_existing(path: &Path, config_sha256: &str) -> Result<Self, RunFolderError> {
         if !Self::holds_run(path) {
             let why = format!("holds no run to resume: it has no {MANIFEST}");
             return Err(RunFolderError::Other(format!("{} {why}", path.display())));
@@ -185,7 +185,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// Names the manifest if it cannot be read or written.
-    pub fn note_foreign_actors(&self) -> Result<(), RunFolderError> {
+    pub(crate) fn note_foreign_actors(&self) -> Result<(), RunFolderError> {
         let mut manifest = self.manifest()?;
         if manifest[FOREIGN_ACTORS] == Value::Bool(true) {
             return Ok(());

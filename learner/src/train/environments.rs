@@ -69,8 +69,7 @@ impl Environments {
     }
 
     /// The start states of these environments.
-    #[must_use]
-    pub fn starts_of(&self, environments: &[u32]) -> Vec<EnvironmentStart> {
+    pub(crate) fn starts_of(&self, environments: &[u32]) -> Vec<EnvironmentStart> {
         let start = |environment: &u32| {
             let start = self.starts[*environment as usize].clone();
             EnvironmentStart { environment: *environment, start }

@@ -138,7 +138,7 @@ fn build(
     Ok(trainer)
 }
 
-/// Number of threads; 0 stands for one per core. rayon would read `RAYON_NUM_THREADS` instead.
+/// Number of threads; 0 means one per core. rayon would read `RAYON_NUM_THREADS` instead.
 fn thread_count(threads: usize) -> usize {
     match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),

@@ -3,8 +3,7 @@
 use crate::lease::slots::SlotRollout;
 
 /// Mean of each of these terms in an environment step of an iteration, as `reward/TERM`; empty if an actor left terms out.
-#[must_use]
-pub fn means_per_step(names: &[String], rollouts: &[SlotRollout]) -> Vec<(String, f64)> {
+pub(crate) fn means_per_step(names: &[String], rollouts: &[SlotRollout]) -> Vec<(String, f64)> {
     let chunks = || rollouts.iter().flat_map(|rollout| &rollout.chunks);
     if chunks().any(|chunk| chunk.reward_terms.is_empty()) {
         return Vec::new();

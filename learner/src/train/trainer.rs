@@ -207,7 +207,7 @@ impl RunningTrainer {
             let exchange = &self.outside.exchange;
             let weights = PolicyVersion(iteration);
             self.behaviour = Some(exchange.open_iteration(iteration, weights, slots));
-            self.tell(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
+            self.emit(&Event::Collecting { iteration, env_steps: self.trainer.env_steps() });
         }
     }
 
@@ -253,7 +253,7 @@ impl RunningTrainer {
         self.advise(report.actors);
         self.report_divergence();
         self.report_instability(&report);
-        self.tell(&Event::Iteration(report));
+        self.emit(&Event::Iteration(report));
         Ok(())
     }
 
@@ -302,10 +302,10 @@ impl RunningTrainer {
     }
 
     fn enter(&mut self, stage: Stage) {
-        self.tell(&Event::Stage(stage));
+        self.emit(&Event::Stage(stage));
     }
 
-    fn tell(&mut self, event: &Event) {
+    fn emit(&mut self, event: &Event) {
         self.outside.exchange.observe(event);
         (self.outside.observer)(event);
     }

@@ -370,7 +370,7 @@ impl Cluster {
         assert!(held.actors <= ACTORS, "{held:?}");
         assert!(held.leases <= 2 * SLOTS as usize + 2 + 8, "{held:?}");
         assert!(held.held_chunks <= 2 * u64::from(SLOTS * CHUNKS), "{held:?}");
-        assert!(held.open_audits <= 8 && held.earlier_results <= 9 * SLOTS as usize, "{held:?}");
+        assert!(held.open_audits <= 8 && held.earlier_results <= 8 * SLOTS as usize, "{held:?}");
         assert!(held.finished_leases <= 4096, "{held:?}");
     }
 

@@ -184,7 +184,7 @@ pub(crate) fn play(
     table.take(lease.connection, &header, ResultPart::Episode(result))
 }
 
-/// Says that the lease's work goes on, at this step.
+/// Sends a heartbeat of the lease, whose work is at this step.
 pub(crate) fn beat(table: &mut SlotTable, actor: Actor, lease: &Held, slot_step: u32) -> bool {
     let beat = Heartbeat { actor: actor.id, incarnation: INCARNATION, lease: lease.id, slot_step };
     table.heartbeat(actor.connection, &beat).unwrap()

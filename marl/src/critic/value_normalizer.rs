@@ -39,8 +39,7 @@ impl ValueNormalizer {
     }
 
     /// Mean and standard deviation of the returns, in units of the return.
-    #[must_use]
-    pub fn mean_and_deviation(&self) -> (f64, f64) {
+    pub(crate) fn mean_and_deviation(&self) -> (f64, f64) {
         let weight = self.weight.max(MINIMAL_WEIGHT);
         let mean = self.mean / weight;
         (mean, sqrt((self.square / weight - mean * mean).max(MINIMAL_VARIANCE)))
@@ -54,8 +53,7 @@ impl ValueNormalizer {
     }
 
     /// Converts a normalised value to units of the return.
-    #[must_use]
-    pub fn denormalize(&self, value: f64) -> f64 {
+    pub(crate) fn denormalize(&self, value: f64) -> f64 {
         let (mean, deviation) = self.mean_and_deviation();
         value * deviation + mean
     }

@@ -51,8 +51,7 @@ impl ActionKind {
     }
 
     /// Size of an action's encoding for other agents: `action` numbers, or a one-hot vector of choices.
-    #[must_use]
-    pub fn encoded_size(self, action: usize) -> usize {
+    pub(crate) fn encoded_size(self, action: usize) -> usize {
         match self {
             Self::Continuous => action,
             Self::Discrete { choices } => choices,

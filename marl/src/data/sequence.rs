@@ -58,8 +58,7 @@ impl ChunkLayout {
     }
 
     /// Converts `[T, B, width]` data to chunked order, `[L, C, width]`.
-    #[must_use]
-    pub fn chunked<V: Copy>(&self, data: &[V], width: usize) -> Vec<V> {
+    pub(crate) fn chunked<V: Copy>(&self, data: &[V], width: usize) -> Vec<V> {
         let mut out = Vec::with_capacity(data.len());
         for step in 0..self.steps {
             for chunk in 0..self.chunks {

@@ -31,8 +31,7 @@ impl HeadRows {
     ///
     /// # Panics
     /// If there is not one signal for every row.
-    #[must_use]
-    pub fn gradient_through(&self, given: Self, signal: &[f64]) -> Self {
+    pub(crate) fn gradient_through(&self, given: Self, signal: &[f64]) -> Self {
         let Some(size) = self.signal_size(signal) else { return given };
         let act = self.sigma.len();
         // With respect to `sigma r`, `[act, K]`.

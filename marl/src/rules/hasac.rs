@@ -214,7 +214,7 @@ fn targets(
         let agents = next.iter().zip(temperatures);
         let bonus: f64 = agents.map(|(drawn, weight)| weight * drawn.log_prob[row]).sum();
         let value = if first <= second { first } else { second } - bonus;
-        // A termination has no next value, whatever the critics make of the state after it.
+        // A termination has no next value, whatever value the critics give the state after it.
         let next = if sample.discount[row] == 0.0 { 0.0 } else { sample.discount[row] * value };
         team_reward(sample, row) + next
     };

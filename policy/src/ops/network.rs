@@ -109,7 +109,7 @@ impl Weights {
     ///
     /// # Errors
     /// If shapes or element types do not match.
-    pub fn features_and_output(
+    pub(crate) fn features_and_output(
         &self,
         x: &Tensor,
         recurrent: Option<RecurrentInput<'_>>,

@@ -41,9 +41,9 @@ fn message(sequence: u32) -> (wire::TrajectoryChunk, Digest) {
 
 /// The digests are valid: they are computed after the changes.
 fn assert_all_refused(lies: &[Lie]) {
-    for &(sequence, reason, field, tell) in lies {
+    for &(sequence, reason, field, change) in lies {
         let mut message = message(sequence).0;
-        tell(&mut message);
+        change(&mut message);
         let result = received(&message, &sample::run(), honest_digest(&message, &sample::run()));
         assert_refused(result, reason, &format!("chunk.{field}"));
     }

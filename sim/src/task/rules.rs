@@ -172,7 +172,7 @@ impl Rules {
         places.map(|(place, feature)| (place, feature.observer)).collect()
     }
 
-    /// Features of the disturbances, the last ones of the global state; empty if nobody observes them.
+    /// Features of the disturbances, the last ones of the global state; empty with `Audience::Nobody`.
     pub(crate) fn disturbance_features(&self) -> Vec<FeatureSpec> {
         let mut features = self.disturbance.features();
         features.truncate(self.described);

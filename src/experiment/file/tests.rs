@@ -78,7 +78,7 @@ fn paths_are_relative_to_the_file_and_those_of_the_programs_own_files_to_its_roo
     }
 }
 
-/// Of the table that `text` is parsed as: what it may hold, as the parser tells of an unknown field.
+/// Fields that the table in `text` may have, from the parser's message about an unknown field.
 fn fields(text: &str) -> Vec<String> {
     let message = parse(text).unwrap_err();
     let (_, expected) = message.split_once("expected one of ").unwrap();

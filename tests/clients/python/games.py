@@ -46,7 +46,7 @@ class Follow(ParallelEnv):
 
 
 class Push(ParallelEnv):
-    """Tells what it was asked to do: each agent sees its last push."""
+    """Shows the actions: each agent sees its last push."""
 
     metadata = {"name": "push"}
     possible_agents = ["one", "two"]
@@ -110,7 +110,7 @@ class Mixed(Aim):
 
 
 class Liar(Environment):
-    """Says that it has one agent with one number, then shows what it is told to."""
+    """Says that it has one agent with one number, then shows what its arguments say."""
 
     def __init__(self, shown: float = 0.0, count: int = 1, state: int = 1) -> None:
         agent = wire.AgentSpec(

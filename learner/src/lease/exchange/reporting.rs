@@ -70,7 +70,7 @@ impl Exchange {
     }
 
     /// Publishes the run's last line; `summary` is missing if the trainer failed.
-    pub fn show_end(&self, summary: Option<&Summary>) {
+    pub(crate) fn show_end(&self, summary: Option<&Summary>) {
         let status = self.status();
         let counted = status.iteration * self.iteration_steps(&self.lock().table.counts());
         let (iteration, env_steps) =
@@ -91,20 +91,20 @@ impl Exchange {
     }
 
     /// Counts the bytes of a message with results, valid or not.
-    pub fn count_bytes(&self, bytes: usize) {
+    pub(crate) fn count_bytes(&self, bytes: usize) {
         self.correct(|snapshot| snapshot.bytes_received += bytes as u64);
     }
 
     /// Counts steps that a log lost, an actor's or the learner's own. An actor may claim any number, so the sum
     /// saturates.
-    pub fn count_lost_log_steps(&self, steps: u64) {
+    pub(crate) fn count_lost_log_steps(&self, steps: u64) {
         self.correct(|snapshot| {
             snapshot.log_steps_lost = snapshot.log_steps_lost.saturating_add(steps);
         });
     }
 
     /// Reports whether checkpoints reach the disk.
-    pub fn report_storage(&self, storage: Storage) {
+    pub(crate) fn report_storage(&self, storage: Storage) {
         self.storage.send_replace(storage);
     }
 

@@ -9,14 +9,12 @@ use crate::lease::slots::{ConnectionId, Preview, ResultPart};
 
 impl Exchange {
     /// Whether an actor of this connection holds a lease.
-    #[must_use]
-    pub fn holds_lease(&self, connection: ConnectionId) -> bool {
+    pub(crate) fn holds_lease(&self, connection: ConnectionId) -> bool {
         self.lock().table.holds_lease(connection)
     }
 
     /// Whether an actor registered on this connection.
-    #[must_use]
-    pub fn is_registered(&self, connection: ConnectionId) -> bool {
+    pub(crate) fn is_registered(&self, connection: ConnectionId) -> bool {
         self.lock().table.is_registered(connection)
     }
 

@@ -20,8 +20,8 @@ pub enum Wake {
     BeginAgain(RolloutOrigin),
     /// The run cannot continue.
     Failed(ExchangeError),
-    /// Nothing happened for as long as it was willing to wait.
-    Patience,
+    /// The wait timed out.
+    Timeout,
 }
 
 /// Why the exchange cannot continue: weights that are no policy of the run, results that differ, or work at which all

@@ -61,7 +61,7 @@ impl Audits {
         })
     }
 
-    /// Opens an audit. There may be no room for one of a slot; whether there is.
+    /// Opens an audit. Returns false if the limit of audits of slots is reached and none can be skipped.
     pub(super) fn open(&mut self, audit: Audit) -> bool {
         if audit.wait.is_none() && self.open_slots() == MOST_OPEN {
             let unheld = |audit: &Audit| audit.wait.is_none() && audit.holder.is_none();

@@ -72,14 +72,16 @@ impl SlotTable {
         let shows_nothing =
             |held: &HeldLease| leases.get(held.id).is_some_and(|lease| lease.digests.is_empty());
         let suits = |key: Key, held: &[HeldLease], issued: u32, age: Duration| {
-            let (since, patience) = match held {
+            let (since, timeout) = match held {
                 [only] => (only.since, age),
-                [_, second] if shows_nothing(second) => (second.since, patience(age, issued)),
+                [_, second] if shows_nothing(second) => {
+                    (second.since, second_lease_timeout(age, issued))
+                }
                 _ => return false,
             };
             failures.may_back_up(key, owner.process, now)
                 && held.iter().all(of_another)
-                && (since + patience <= now || held.iter().all(of_stalled))
+                && (since + timeout <= now || held.iter().all(of_stalled))
         };
         let (claimed, replaced) = self.works.values_mut().find_map(|works| {
             let age = self.times.backup_age(works);
@@ -121,8 +123,8 @@ impl SlotTable {
         self.works.values().any(Works::any_free)
     }
 
-    /// There was nothing for this actor. Its process waits for work if it holds none, unless the free work
-    /// waits, or it may not try that after a failure: nothing is kept for it then.
+    /// No work is available to this actor. Its process waits for work if it has no lease. If there is free work that the
+    /// process may not have, because the work waits or the process failed at it, no work is reserved.
     pub(super) fn found_nothing(&mut self, owner: Owner) {
         let is_any_free = self.is_any_free();
         let processes = &mut self.actors.processes;
@@ -145,8 +147,7 @@ impl SlotTable {
     }
 }
 
-/// How long a second lease is left alone, after so many leases: twice as long with each further one, so that an actor that
-/// needs more than `age` gets its time.
-fn patience(age: Duration, issued: u32) -> Duration {
+/// Time before a second lease may be replaced, after `issued` leases; it doubles with each.
+fn second_lease_timeout(age: Duration, issued: u32) -> Duration {
     age * 2_u32.pow(issued.saturating_sub(2).min(MOST_DOUBLINGS))
 }

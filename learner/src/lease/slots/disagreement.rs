@@ -31,7 +31,8 @@ pub enum Part {
     Episode(u32),
 }
 
-/// Two valid results that differ: a machine, the program or the environment is not deterministic, or an actor lies.
+/// Two valid results that differ: a machine, the program or the environment is not deterministic, or an actor
+/// sent a wrong result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Disagreement {
     /// The iteration.

@@ -55,8 +55,7 @@ impl SlotTable {
     }
 
     /// Whether an actor of this connection holds a lease.
-    #[must_use]
-    pub fn holds_lease(&self, connection: ConnectionId) -> bool {
+    pub(crate) fn holds_lease(&self, connection: ConnectionId) -> bool {
         let mut actors = self.actors.of(connection).into_iter();
         actors.any(|actor| self.open.of(actor).next().is_some())
     }

@@ -29,7 +29,7 @@ pub(super) enum ItemState {
     Free,
     /// These leases compute it, the oldest first; two if the first one is slow.
     Held(Vec<HeldLease>),
-    /// Its result is there.
+    /// Its result is complete.
     Complete(Output),
     /// The trainer has its result.
     Taken,

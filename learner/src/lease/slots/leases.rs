@@ -14,7 +14,7 @@ use super::works::{Key, environments};
 use crate::lease::end_states::{Course, follow};
 
 /// A lease without progress for this many times to live is no longer extended by heartbeats.
-const PATIENCE_IN_TTLS: u32 = 6;
+const PROGRESS_TIMEOUT_IN_TTLS: u32 = 6;
 /// No lease is extended beyond this many times to live.
 const MOST_AGE_IN_TTLS: u32 = 90;
 /// Finished leases whose results are recognised when they are sent again after a lost acknowledgement.
@@ -109,9 +109,9 @@ impl OpenLease {
     }
 
     fn extend(&mut self, now: Duration) {
-        let patient = self.progress + self.ttl * PATIENCE_IN_TTLS;
+        let progress_deadline = self.progress + self.ttl * PROGRESS_TIMEOUT_IN_TTLS;
         let longest = self.begun + self.ttl * MOST_AGE_IN_TTLS;
-        self.deadline = (now + self.ttl).min(patient).min(longest);
+        self.deadline = (now + self.ttl).min(progress_deadline).min(longest);
     }
 
     pub(super) fn status(&self, lease: LeaseId, now: Duration) -> LeaseStatus {

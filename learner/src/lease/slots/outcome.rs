@@ -42,7 +42,7 @@ pub struct EvaluationOutcome {
     pub episodes: Vec<EvaluationResult>,
 }
 
-/// What the table wants done.
+/// An action that the table requests of the exchange.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
     /// Work came free, or the run's state changed: tasks that wait for a lease are woken.
@@ -75,7 +75,7 @@ pub enum Incident {
     Gone {
         /// The actor.
         actor: ActorId,
-        /// What it was at, ended now.
+        /// Its leases, which end now.
         leases: Vec<LeaseStatus>,
     },
     /// No message came for this lease for its time to live, it made no progress for long, or it is too old.
@@ -103,7 +103,7 @@ pub enum Incident {
 /// The answer to an actor that asks for work.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Offer {
-    /// Do this.
+    /// A lease of work.
     Lease(Lease),
     /// Nothing is free.
     Nothing,
@@ -113,7 +113,7 @@ pub enum Offer {
     Done,
 }
 
-/// How far the table is, and how many entries of each kind it holds; each kind has a bound, whatever comes in.
+/// Progress of the table, and its number of entries of each kind. Each kind has a bound, which no message can exceed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Chunks accepted in the open iteration, of complete slots and of the lease of each held slot that is furthest.
@@ -136,7 +136,7 @@ pub struct Counts {
     pub leases: usize,
     /// Finished leases whose results are recognised when they come again: at most 4,096.
     pub finished_leases: usize,
-    /// Digests of ended leases: at most 9 lists for each slot.
+    /// Digests of ended leases: at most 8 lists for each slot.
     pub earlier_results: usize,
     /// Slots of the open iteration.
     pub slots: usize,
@@ -144,10 +144,10 @@ pub struct Counts {
     pub environments: usize,
     /// Environments of each of these slots; of the largest, if they differ.
     pub environments_per_slot: usize,
-    /// Those of them that are leased.
+    /// Slots of the open iteration that are leased.
     pub held_slots: usize,
     /// Median time from lease to result of the latest slots, for each of a slot's environments; `None` before the first.
     pub slot_time: Option<Duration>,
-    /// Those of them whose result is complete.
+    /// Slots of the open iteration whose result is complete.
     pub complete_slots: usize,
 }

@@ -1,4 +1,4 @@
-//! What is known of each actor process: its actors, how much work it lost in a row, and whether it waits for work.
+//! The state of each actor process: its actors, how much work it lost in a row, and whether it waits for work.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use super::actors::Process;
 const STALLED: u32 = 3;
 /// Free work is kept this long for a process that waits. One that still waits asks again as soon as work is free.
 const KEPT: Duration = Duration::from_secs(1);
-/// A process without a lease that has not asked for work for this long is not at work. No actor waits as long for one answer.
+/// A process without a lease that has not requested work for this long is inactive. No actor waits as long for one answer.
 const SILENCE: Duration = Duration::from_secs(60);
 
 /// The processes that have a registered actor.
@@ -33,7 +33,7 @@ struct Known {
     lost: u32,
 }
 
-/// A process without a lease that asked for work in vain.
+/// A process without a lease that requested work and got none.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     /// It is gone if it has not asked again by then.
@@ -68,7 +68,7 @@ impl Processes {
     }
 
     /// Whether the exact actors of another process may soon audit what `process` computed: one that is not stalled, and
-    /// that asked for work of late or `holds` a lease.
+    /// that requested work recently or `holds` a lease.
     pub(super) fn can_audit_soon(
         &self,
         process: Process,
@@ -122,7 +122,7 @@ impl Processes {
         self.stalled > 0
     }
 
-    /// The process, which holds no lease, asked in vain.
+    /// The process, which holds no lease, requested work and got none.
     pub(super) fn wait(&mut self, process: Process, now: Duration) {
         self.waiting.insert(process, Waiting { until: now + SILENCE, kept: None });
     }

@@ -184,7 +184,7 @@ impl SlotTable {
     }
 
     /// The accepted result, if it is to be audited: the sample covers it, and another process may soon do so. The audit of
-    /// a slot is skipped if there are other processes, but none of them is at work.
+    /// a slot is skipped if there are other processes, but none of them is active.
     fn audited(
         &mut self,
         id: LeaseId,

@@ -183,7 +183,8 @@ impl Works {
         }
     }
 
-    /// Replaces a slot that no lease computes, if there is such a slot. Results from its former start states are forgotten.
+    /// Replaces the start states of a slot of the iteration that `slot` names, and drops results from the former ones; `None`
+    /// for another iteration. No lease computes the slot: its failure was decided.
     pub(super) fn replace(&mut self, slot: RolloutWork) -> Option<Key> {
         let group = self.group;
         let index = slot.slot as usize;

@@ -1,5 +1,5 @@
 //! Accepts connections: assigns ids, applies limits, performs the handshake, and reports closed connections, so that
-//! the leases of a dead actor are free at once.
+//! the leases of an actor whose connection closed end immediately.
 
 use std::io;
 use std::net::SocketAddr;

@@ -1,5 +1,6 @@
 //! The open connections. Connections with actors have one limit. Those without (probes, operators, unregistered peers)
-//! have another; when it is reached, the oldest of them is closed to admit a new one. So have those of one address.
+//! have another; when it is reached, the oldest of them is closed to admit a new one. An address has a limit of
+//! connections, too; a new one above it is refused.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;

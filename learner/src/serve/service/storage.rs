@@ -7,7 +7,7 @@ use tonic_health::server::HealthReporter;
 use crate::lease::exchange::Storage;
 
 /// Name of the health service's entry for checkpoints; `NOT_SERVING` while they fail.
-pub const STORAGE: &str = "s2mia.v1.Storage";
+pub(crate) const STORAGE: &str = "s2mia.v1.Storage";
 
 /// Reports every change until the exchange is dropped.
 pub(super) async fn follow(mut storage: watch::Receiver<Storage>, reporter: HealthReporter) {

@@ -72,8 +72,8 @@ impl RunFolder {
         })
     }
 
-    /// The run that `path` names: its folder, or that of one of its checkpoints. A checkpoint outside a run stands for
-    /// itself.
+    /// The run that `path` names: its folder, or that of one of its checkpoints. A checkpoint outside a run is
+    /// returned unchanged.
     #[must_use]
     pub fn of(path: &Path) -> PathBuf {
         let run = Self::around(path).filter(|_| checkpoint::is_checkpoint(path));

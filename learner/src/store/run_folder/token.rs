@@ -14,8 +14,7 @@ pub(super) const TOKEN: &str = "token";
 
 impl RunFolder {
     /// Path of the token file of the run in `folder`; absolute if the working directory is known.
-    #[must_use]
-    pub fn token_file(folder: &Path) -> PathBuf {
+    pub(crate) fn token_file(folder: &Path) -> PathBuf {
         let file = folder.join(TOKEN);
         std::path::absolute(&file).unwrap_or(file)
     }
@@ -24,7 +23,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// Names the file if it cannot be written or removed.
-    pub fn note_token(&self, token: Option<&Token>) -> Result<(), RunFolderError> {
+    pub(crate) fn note_token(&self, token: Option<&Token>) -> Result<(), RunFolderError> {
         let path = self.file(TOKEN);
         match token {
             Some(token) => {

@@ -28,7 +28,7 @@ impl RunningTrainer {
 }
 
 impl Trainer {
-    /// Begins a new episode in an environment that continues one, and tells the learning rule.
+    /// Begins a new episode in an environment that continues one, and notifies the learning rule.
     fn begin_again(&mut self, environment: u32) {
         if self.environments.begin_again(environment) {
             self.algorithm.begin_again(environment as usize);

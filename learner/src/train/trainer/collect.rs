@@ -66,7 +66,7 @@ impl RunningTrainer {
             Wake::Evaluation(outcome) => self.take_evaluation(&outcome)?,
             Wake::BeginAgain(slot) => self.begin_again(&slot),
             Wake::Failed(error) => return Err(error.into()),
-            Wake::Patience => self.report_progress(),
+            Wake::Timeout => self.report_progress(),
         }
         Ok(())
     }
@@ -87,7 +87,7 @@ impl RunningTrainer {
         };
         self.trainer.metrics.evaluation(&report)?;
         self.trainer.evaluations.end(MeasuredReturn::of(&report));
-        self.tell(&Event::Evaluation(report));
+        self.emit(&Event::Evaluation(report));
         Ok(())
     }
 
@@ -97,10 +97,10 @@ impl RunningTrainer {
         if progress.new_steps && self.arrived.is_none() {
             let iteration = self.trainer.iteration;
             let env_steps = self.trainer.env_steps() + now.steps_collected;
-            self.tell(&Event::Collecting { iteration, env_steps });
+            self.emit(&Event::Collecting { iteration, env_steps });
         }
         if let Some(waiting) = progress.waiting {
-            self.tell(&waiting);
+            self.emit(&waiting);
         }
     }
 }

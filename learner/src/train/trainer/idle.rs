@@ -19,7 +19,7 @@ pub(super) fn advice(actors: u64, environments: &EnvironmentsConfig) -> Option<S
             let cut = count / slot_size(count, threads, 0);
             let rest = if cut < threads { format!("; for more, {more}") } else { String::new() };
             (
-                format!("environments.per_slot={fixed} makes {slots} slots of {all}"),
+                format!("environments.per_slot={fixed} cuts the {all} into {slots} slots"),
                 format!(
                     "resume with environments.per_slot=0, which makes {cut} with the same results{rest}"
                 ),
@@ -44,7 +44,7 @@ mod tests {
 
     #[test]
     fn threads_without_a_slot_are_counted_with_what_limits_the_slots() {
-        let fixed = "environments.per_slot=2 makes 10 slots of 20 environments; resume with \
+        let fixed = "environments.per_slot=2 cuts the 20 environments into 10 slots; resume with \
                      environments.per_slot=0, which makes 20 with the same results";
         let one = "the run has 20 environments, and a slot has at least one";
         let more = "set a larger environments.count in a new run, which changes its results";

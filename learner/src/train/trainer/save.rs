@@ -39,7 +39,7 @@ impl RunningTrainer {
                     "training is over; retrying once"
                 };
                 tracing::error!(failures, "checkpoint failed: {error}; {then}");
-                self.tell(&Event::CheckpointFailed { failures });
+                self.emit(&Event::CheckpointFailed { failures });
                 self.outside.exchange.report_storage(Storage::Degraded);
             }
         }
@@ -50,8 +50,8 @@ impl RunningTrainer {
     pub(super) fn save_now(&mut self) -> Result<Saved, LearnerError> {
         let iteration = self.trainer.iteration;
         self.trainer.folder.demand_in_place()?;
-        let stands = |saved: &&Saved| saved.iteration == iteration && saved.path.is_dir();
-        if let Some(saved) = self.trainer.saved.as_ref().filter(stands) {
+        let is_current = |saved: &&Saved| saved.iteration == iteration && saved.path.is_dir();
+        if let Some(saved) = self.trainer.saved.as_ref().filter(is_current) {
             return Ok(saved.clone());
         }
         self.enter(Stage::Save);
@@ -60,7 +60,7 @@ impl RunningTrainer {
         let saved = self.trainer.save()?;
         self.outside.exchange.report_storage(storage);
         self.trainer.saved = Some(saved.clone());
-        self.tell(&Event::Checkpoint(WrittenCheckpoint {
+        self.emit(&Event::Checkpoint(WrittenCheckpoint {
             iteration,
             secs: begin.elapsed().as_secs_f64(),
             bytes: checkpoint::size(&saved.path),

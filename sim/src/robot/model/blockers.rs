@@ -16,7 +16,7 @@ pub(super) struct Blockers(RefCell<Reasons>);
 struct Reasons {
     /// The first of them, in their order.
     shown: Vec<String>,
-    /// What tells all apart: the reason, or the default that causes it.
+    /// What distinguishes all of them: the reason, or the default that causes it.
     causes: BTreeSet<String>,
 }
 

@@ -105,7 +105,7 @@ function draw(figure, all) {
   if (!figure.firstChild) figure.append(caption(chart));
   figure.replaceChildren(figure.firstChild, element("div", {class: "values"}), sheet);
   point(figure, sheet, chart, {x, y, first, last});
-  tell(figure, chart, (line) => line.steps.length - 1);
+  showValues(figure, chart, (line) => line.steps.length - 1);
 }
 
 /// The title; it opens the explanation of the metric, which is also its tooltip.
@@ -148,7 +148,7 @@ function point(figure, sheet, chart, {x, y, first, last}) {
       const box = {x: left, y: TOP, width: right - left, height: HEIGHT - TOP - BOTTOM};
       marks.append(element("rect", {...box, style: {fill: "var(--ink)", opacity: 0.12}}));
     }
-    tell(figure, chart, (line) => nearest(line.steps, steps));
+    showValues(figure, chart, (line) => nearest(line.steps, steps));
   };
   sheet.onpointerdown = (event) => {
     if (event.button) return;
@@ -163,7 +163,7 @@ function point(figure, sheet, chart, {x, y, first, last}) {
   };
   sheet.onpointercancel = () => { from = null; };
   sheet.ondblclick = () => change({zoom: ""});
-  sheet.onpointerleave = () => { marks.replaceChildren(); tell(figure, chart, (line) => line.steps.length - 1); };
+  sheet.onpointerleave = () => { marks.replaceChildren(); showValues(figure, chart, (line) => line.steps.length - 1); };
 }
 
 /// Runs beyond the colours have dashes.
@@ -177,7 +177,7 @@ function nearest(steps, wanted) {
 }
 
 /// The figures of all lines at the places that `index` chooses, in words above the chart.
-function tell(figure, chart, index) {
+function showValues(figure, chart, index) {
   const words = chart.lines.map((line) => {
     const value = line.steps.length ? short(line.figures[index(line)]) : "-";
     return element("span", {title: line.label, style: {color: colour(line.place)}}, chart.isOneRun ? `${line.label} ${value}`.trim() : value);

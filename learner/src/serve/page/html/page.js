@@ -1,6 +1,6 @@
 // The page: what is shown, in the fragment of the address, and requests for it.
 
-const STATUS_MILLIS = 1000, CURVES_MILLIS = 3000, PATIENCE_MILLIS = 6000, PACE_MILLIS = 60000, FRAGMENT_MILLIS = 400;
+const STATUS_MILLIS = 1000, CURVES_MILLIS = 3000, TIMEOUT_MILLIS = 6000, PACE_MILLIS = 60000, FRAGMENT_MILLIS = 400;
 const TABS = ["overview", "metrics", "settings"];
 
 /// What is shown, as text by name. What differs from these defaults is in the fragment.
@@ -320,7 +320,7 @@ function trouble(words) {
 // Requests, again and again.
 
 async function ask(path) {
-  const answer = await fetch(path, {signal: AbortSignal.timeout(PATIENCE_MILLIS)});
+  const answer = await fetch(path, {signal: AbortSignal.timeout(TIMEOUT_MILLIS)});
   if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
   return answer.json();
 }
@@ -385,7 +385,7 @@ function control() {
   byId("save").onclick = () => {
     const href = URL.createObjectURL(new Blob([table()], {type: "text/csv"}));
     element("a", {href, download: "curves.csv"}).click();
-    setTimeout(() => URL.revokeObjectURL(href), PATIENCE_MILLIS);
+    setTimeout(() => URL.revokeObjectURL(href), TIMEOUT_MILLIS);
   };
   fold(byId("work"));
   controlRobot();
