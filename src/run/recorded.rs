@@ -266,8 +266,8 @@ mod tests {
         let failure = || anyhow::anyhow!("a line differs");
         let alone = recorded.undisturbed(|_| Err::<(), _>(failure())).unwrap_err();
         assert_eq!(alone.to_string(), "a line differs");
-        let work = || std::fs::write(&file, "{}\n{}\n").unwrap();
-        recorded.undisturbed(|_| Ok(work())).unwrap();
+        std::fs::write(&file, "{}\n{}\n").unwrap();
+        recorded.undisturbed(|_| Ok(())).unwrap();
         let disturbed = recorded.undisturbed(|_| Err::<(), _>(failure())).unwrap_err();
         assert!(disturbed.to_string().starts_with("a learner worked on it meanwhile"));
     }
