@@ -20,6 +20,9 @@ _HEADER = struct.Struct("<BQ")
 # First byte of a worker's message. An answer, the text of an error, or a note follows. Notes precede the answer.
 _ANSWER, _ERROR, _NOTE = b"\0", b"\1", b"\2"
 
+# Seconds for which the failure of one worker waits for the first message of another.
+_START_SECS = 10.0
+
 
 class _Kind(enum.IntEnum):
     BEGIN = 0
@@ -85,8 +88,14 @@ class WorkerStreams:
     def __init__(self, make: Callable[[], EnvironmentBatch], count: int) -> None:
         self.make, self.lock, self.numbers = make, threading.Lock(), itertools.count()
         self.workers = [Worker(make) for _ in range(count)]
-        # A worker sends the description when it is ready.
-        self.description = [worker.receive() for worker in self.workers][0]
+        try:
+            # A worker sends the description when it is ready.
+            self.description = [worker.receive() for worker in self.workers][0]
+        except (EnvironmentFailed, WorkerLost):
+            # Other workers fail, too, and print their tracebacks: the line of the failure follows them.
+            for worker in self.workers:
+                worker.pipe.poll(_START_SECS)
+            raise
         self.of_stream: dict[int, Worker] = {}
 
     def open(self) -> int:
