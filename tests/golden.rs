@@ -11,7 +11,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// Task, algorithm and core of each run, and other settings of it.
-const CASES: [[&str; 3]; 18] = [
+const CASES: [[&str; 3]; 20] = [
     ["halfcheetah-2x3", "happo-s2mia", "gru"],
     ["halfcheetah-2x3", "happo-s2mia", "mlp"],
     ["walker2d-2x3", "happo-s2mia", "gru"],
@@ -32,6 +32,8 @@ const CASES: [[&str; 3]; 18] = [
         "hasac",
         "mlp policy.noise=shared policy.noise_loading=0.7 policy.noise_decay_steps=400",
     ],
+    ["halfcheetah-2x3", "hasac-s2mia-exact", "mlp policy.noise_size=2"],
+    ["halfcheetah-2x3", "happo-shared-annealed", "gru"],
     // Links that touch objects, and servos, commands and pushes.
     ["carry-light-2x2", "happo-s2mia", "mlp"],
     ["quadruped-4x3", "happo-s2mia", "mlp"],
@@ -74,7 +76,7 @@ fn own_settings(core: &str, algorithm: &str) -> Vec<&'static str> {
     let sizes = if core == "gru" { GRU } else { MLP };
     let rule = match algorithm {
         "maddpg" => REPLAY.to_vec(),
-        "hasac" | "hasac-sm" => SOFT_REPLAY.to_vec(),
+        "hasac" | "hasac-sm" | "hasac-s2mia-exact" => SOFT_REPLAY.to_vec(),
         "happo-s2mia" => [ON_POLICY, INFLUENCE].concat(),
         _ => ON_POLICY.to_vec(),
     };

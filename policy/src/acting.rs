@@ -18,7 +18,7 @@ use crate::error::PolicyError;
 use crate::head::Head;
 use crate::layers::{LayerSpec, network_of};
 use crate::randomness::{Draw, RunSeed};
-use crate::shared_noise::GivenSignal;
+use crate::shared_noise::{GivenSignal, LOADING};
 use crate::standardisation::Standardisation;
 
 /// One agent's policy.
@@ -32,6 +32,8 @@ pub struct ActorPolicy {
     sigma: Vec<f32>,
     /// Only with noise that agents share.
     given_signal: Option<GivenSignal>,
+    /// Part of every deviation that is the agent's own given the signal, `[act]`; 1 if noise is independent.
+    own: Vec<f64>,
 }
 
 /// Buffers of [`ActorPolicy::forward`]. The caller reuses them, so that a step does not allocate.
@@ -47,7 +49,8 @@ pub struct Scratch {
 
 impl ActorPolicy {
     /// A policy of the MLP core without norms, for `observation` features and `action` action values. `parameters`
-    /// has, for each layer and then the head, the weight `[out, in]` and the bias `[out]`.
+    /// has, for each layer and then the head, the weight `[out, in]` and the bias `[out]`; `loading` has the parameters
+    /// `[act, K]` of learnt loadings, if the noise has any.
     ///
     /// # Errors
     /// If `head` is invalid for `action` values, a number is not finite, or their count is wrong.
@@ -55,7 +58,7 @@ impl ActorPolicy {
         config: &PolicyConfig,
         (observation, action): (usize, usize),
         head: Head,
-        mut parameters: &[f32],
+        (mut parameters, loading): (&[f32], Option<&[f32]>),
     ) -> Result<Self, PolicyError> {
         let norm = Some(InputNorm::None);
         let spec = ActorSpec::new(config, observation, action, head)?;
@@ -70,6 +73,10 @@ impl ActorPolicy {
             let (own, rest) = parameters.split_at(shape.iter().product());
             arrays.insert(name, Array::F32 { shape, data: own.to_vec() });
             parameters = rest;
+        }
+        if let Some(loading) = loading {
+            let shape = vec![action, loading.len() / action];
+            arrays.insert(LOADING.to_owned(), Array::F32 { shape, data: loading.to_vec() });
         }
         Self::new(spec, arrays)
     }
@@ -96,23 +103,23 @@ impl ActorPolicy {
         };
         let given_signal = match (spec.head(), spec.head().shared_noise()) {
             (_, None) => None,
-            (Head::TanhGaussian { .. }, Some(noise)) => {
-                Some(GivenSignal::new(noise, &vec![1.0; spec.action], None))
-            }
-            (_, Some(noise)) if noise.loading.is_some() => {
-                Some(GivenSignal::new(noise, &sigma, None))
-            }
-            (_, Some(noise)) => {
-                let u = reader.array("head.loading", &[spec.action, noise.size])?;
-                Some(GivenSignal::new(noise, &sigma, Some(u)))
+            (head, Some(noise)) => {
+                // Deviations that depend on the observation are part of the output.
+                let ones = vec![1.0; spec.action];
+                let of = if matches!(head, Head::TanhGaussian { .. }) { &ones } else { &sigma };
+                let sizes = [spec.action, noise.size];
+                let learnt = noise.loading.is_none().then(|| reader.array(LOADING, &sizes));
+                Some(GivenSignal::new(noise, of, learnt.transpose()?))
             }
         };
+        let own = given_signal.as_ref();
+        let own = own.map_or_else(|| vec![1.0; spec.action], |given| given.own.clone());
         if reader.used != arrays.len() {
             let found = arrays.len();
             let used = reader.used;
             return Err(PolicyError::Snapshot(format!("{found} arrays, the network has {used}")));
         }
-        Ok(Self { spec, arrays, standardisation, network, sigma, given_signal })
+        Ok(Self { spec, arrays, standardisation, network, sigma, given_signal, own })
     }
 
     /// Sizes and action distribution.
@@ -206,6 +213,7 @@ impl ActorPolicy {
                 shape[0] = self.spec.action;
             }
         }
+        self.arrays.remove(LOADING);
         let spec = ActorSpec { head: Some(Head::Uniform { low, high }), ..self.spec };
         Self::new(spec, self.arrays).expect("the means of a valid network")
     }
@@ -236,9 +244,17 @@ impl ActorPolicy {
         }
     }
 
-    /// Standard deviations of an action given the noise that agents share, `[act]`.
-    fn deviations(&self) -> &[f32] {
-        self.given_signal.as_ref().map_or(&self.sigma, |given| &given.deviations)
+    /// Part of every standard deviation that is the agent's own given the signal that agents share, `[act]`; 1 if noise is
+    /// independent.
+    #[must_use]
+    pub fn own_part(&self) -> &[f64] {
+        &self.own
+    }
+
+    /// Standard deviations of an action given the noise that agents share, and [`Self::own_part`] of them, `[act]`.
+    fn deviations(&self) -> (&[f32], &[f64]) {
+        let sigma = self.given_signal.as_ref().map_or(&self.sigma, |given| &given.deviations);
+        (sigma, &self.own)
     }
 
     /// Draws an action `[act]` from one row's output `[out]`.

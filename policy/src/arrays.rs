@@ -1,9 +1,11 @@
 //! Named arrays, the representation of weights and all other state: file format and hash.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
+use std::io::{self, Write};
 use std::ops::Range;
 
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo, TensorView};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
@@ -52,6 +54,9 @@ pub enum ArrayError {
     /// Not a safetensors file.
     #[error("not a safetensors file: {0}")]
     Format(#[from] safetensors::SafeTensorError),
+    /// The file could not be written.
+    #[error(transparent)]
+    Write(#[from] io::Error),
     /// An unsupported element type.
     #[error("array {name} has element type {dtype:?}; supported are F32, F64, I64, U8")]
     ElementType {
@@ -117,12 +122,12 @@ impl Array {
     }
 
     /// The elements as little-endian bytes.
-    fn bytes(&self) -> Vec<u8> {
+    fn bytes(&self) -> Cow<'_, [u8]> {
         match self {
-            Self::F32 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
-            Self::F64 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
-            Self::I64 { data, .. } => flat(data.iter().map(|x| x.to_le_bytes())),
-            Self::U8 { data, .. } => data.clone(),
+            Self::F32 { data, .. } => little_endian(data, f32::to_le_bytes),
+            Self::F64 { data, .. } => little_endian(data, f64::to_le_bytes),
+            Self::I64 { data, .. } => little_endian(data, i64::to_le_bytes),
+            Self::U8 { data, .. } => Cow::Borrowed(data),
         }
     }
 
@@ -137,8 +142,15 @@ impl Array {
     }
 }
 
-fn flat<const WIDTH: usize>(numbers: impl Iterator<Item = [u8; WIDTH]>) -> Vec<u8> {
-    numbers.collect::<Vec<_>>().into_flattened()
+/// The bytes of `numbers`, without a copy where memory has this order.
+fn little_endian<N: bytemuck::NoUninit, const WIDTH: usize>(
+    numbers: &[N],
+    bytes: impl Fn(N) -> [u8; WIDTH],
+) -> Cow<'_, [u8]> {
+    if cfg!(target_endian = "little") {
+        return Cow::Borrowed(bytemuck::cast_slice(numbers));
+    }
+    Cow::Owned(numbers.iter().flat_map(|number| bytes(*number)).collect())
 }
 
 fn numbers<const WIDTH: usize, N>(bytes: &[u8], number: impl Fn([u8; WIDTH]) -> N) -> Vec<N> {
@@ -167,19 +179,41 @@ pub fn to_safetensors(
     arrays: &NamedArrays,
     metadata: &BTreeMap<String, String>,
 ) -> Result<Vec<u8>, ArrayError> {
-    let mut contents = Vec::with_capacity(arrays.len());
-    for (name, array) in arrays {
+    let mut bytes = Vec::new();
+    write_safetensors(arrays, metadata, &mut bytes)?;
+    Ok(bytes)
+}
+
+/// Writes arrays as [`to_safetensors`] encodes them, one after the other: no second copy of large arrays is held.
+///
+/// # Errors
+/// As [`to_safetensors`]; if the bytes cannot be written.
+pub fn write_safetensors<'a>(
+    arrays: impl IntoIterator<Item = (&'a String, &'a Array)>,
+    metadata: &BTreeMap<String, String>,
+    file: &mut impl Write,
+) -> Result<(), ArrayError> {
+    let mut arrays: Vec<(&String, &Array)> = arrays.into_iter().collect();
+    // Large elements first, so that all are aligned.
+    arrays.sort_by(|(name, array), (next_name, next)| {
+        next.dtype().cmp(&array.dtype()).then(name.cmp(next_name))
+    });
+    let mut end = 0;
+    let mut tensors = Vec::with_capacity(arrays.len());
+    for (name, array) in &arrays {
         array.check(name)?;
-        contents.push((name, array, array.bytes()));
+        let (dtype, shape, start) = (array.dtype(), array.shape().to_vec(), end);
+        end += array.bytes().len();
+        tensors.push(((*name).clone(), TensorInfo { dtype, shape, data_offsets: (start, end) }));
     }
-    let views = contents
-        .iter()
-        .map(|(name, array, bytes)| {
-            Ok((*name, TensorView::new(array.dtype(), array.shape().to_vec(), bytes)?))
-        })
-        .collect::<Result<Vec<_>, ArrayError>>()?;
     let metadata: HashMap<String, String> = metadata.clone().into_iter().collect();
-    Ok(safetensors::serialize(views, (!metadata.is_empty()).then_some(metadata))?)
+    let header = Metadata::new((!metadata.is_empty()).then_some(metadata), tensors)?;
+    let mut header = serde_json::to_vec(&header).map_err(safetensors::SafeTensorError::from)?;
+    header.resize(header.len().next_multiple_of(LENGTH_BYTES), b' ');
+    file.write_all(&(header.len() as u64).to_le_bytes())?;
+    file.write_all(&header)?;
+    arrays.iter().try_for_each(|(_, array)| file.write_all(&array.bytes()))?;
+    Ok(())
 }
 
 /// Decodes arrays and metadata of a safetensors file. The safetensors crate first checks the header length and
@@ -250,6 +284,31 @@ mod tests {
             ("d".to_owned(), Array::I64 { shape: vec![], data: vec![-7] }),
             ("e".to_owned(), Array::U8 { shape: vec![0], data: vec![] }),
         ])
+    }
+
+    #[test]
+    fn files_are_those_of_the_safetensors_crate_byte_for_byte() {
+        for metadata in [BTreeMap::new(), BTreeMap::from([("key".to_owned(), "value".to_owned())])]
+        {
+            let arrays = sample();
+            let view = |(name, array): (&String, &Array)| {
+                let bytes: Vec<u8> = match array {
+                    Array::F32 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+                    Array::F64 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+                    Array::I64 { data, .. } => data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+                    Array::U8 { data, .. } => data.clone(),
+                };
+                (name.clone(), array.dtype(), array.shape().to_vec(), bytes)
+            };
+            let contents: Vec<_> = arrays.iter().map(view).collect();
+            let views = contents.iter().map(|(name, dtype, shape, bytes)| {
+                (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).unwrap())
+            });
+            let named: HashMap<String, String> = metadata.clone().into_iter().collect();
+            let named = (!named.is_empty()).then_some(named);
+            let expected = safetensors::serialize(views, named).unwrap();
+            assert_eq!(to_safetensors(&arrays, &metadata).unwrap(), expected);
+        }
     }
 
     #[test]

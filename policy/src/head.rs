@@ -137,8 +137,7 @@ impl Head {
             }
             Self::Uniform { low, high } => range(low, high),
             Self::TanhGaussian { low, high, noise } => {
-                range(low, high)
-                    && noise.is_none_or(|noise| noise.is_valid() && noise.loading.is_some())
+                range(low, high) && noise.is_none_or(SharedNoise::is_valid)
             }
         };
         if holds {
@@ -154,11 +153,12 @@ impl Head {
         }
     }
 
-    /// Draws an action `[act]` from one row's output `[out]`.
+    /// Draws an action `[act]` from one row's output `[out]`, with the standard deviations given the signal that agents share, `[act]`,
+    /// or the part of them that is the agent's own, `[act]`, if they depend on the observation.
     pub(crate) fn draw(
         self,
         output: &[f32],
-        sigma: &[f32],
+        (sigma, own): (&[f32], &[f64]),
         rng: &mut impl RngCore,
         action: &mut [f32],
     ) {
@@ -166,8 +166,7 @@ impl Head {
         let pairs = action.iter_mut().zip(means);
         match self {
             Self::Categorical { .. } => action[0] = categorical::draw(output, rng) as f32,
-            Self::TanhGaussian { low, high, noise } => {
-                let own = SharedNoise::own_part(noise);
+            Self::TanhGaussian { low, high, .. } => {
                 tanh_gaussian::draw(output, ((low, high), own), rng, action);
             }
             Self::Uniform { low, high } => {
@@ -195,16 +194,21 @@ impl Head {
         }
     }
 
-    /// Log-density or log-probability, in nats, of an action `[act]`. The index of a choice must have been validated.
-    pub(crate) fn log_prob(self, output: &[f32], sigma: &[f32], action: &[f32]) -> f32 {
+    /// Log-density or log-probability, in nats, of an action `[act]`, with deviations as in [`Self::draw`]. The index of a choice
+    /// must have been validated.
+    pub(crate) fn log_prob(
+        self,
+        output: &[f32],
+        (sigma, own): (&[f32], &[f64]),
+        action: &[f32],
+    ) -> f32 {
         match self {
             Self::Gaussian | Self::SharedGaussian(_) | Self::Deterministic { .. } => {
                 gaussian::log_prob(output, sigma, action)
             }
             Self::Categorical { .. } => categorical::log_prob(output, action[0] as usize),
             Self::Uniform { low, high } => -(action.len() as f32) * libm::logf(high - low),
-            Self::TanhGaussian { low, high, noise } => {
-                let own = SharedNoise::own_part(noise);
+            Self::TanhGaussian { low, high, .. } => {
                 tanh_gaussian::log_prob(output, ((low, high), own), action)
             }
         }
@@ -233,7 +237,7 @@ mod tests {
         let mut rng = generator(RunSeed(1), Draw::of(Purpose::Action));
         let mut actions = vec![0.0; count];
         let sigma = vec![head.fixed_sigma().expect("not learnt"); count];
-        head.draw(&vec![mean; count], &sigma, &mut rng, &mut actions);
+        head.draw(&vec![mean; count], (&sigma, &[]), &mut rng, &mut actions);
         actions
     }
 
@@ -267,7 +271,7 @@ mod tests {
             actions.iter().filter(|a| (from..to).contains(*a)).count() as f32 / 1e4
         };
         assert!((share(-2.0, -1.0) - 1.0 / 6.0).abs() < 0.02 && share(-2.0, 4.0) == 1.0);
-        let one = WARMING_UP.log_prob(&[0.0; 2], &[1.0; 2], &[3.0, -1.0]);
+        let one = WARMING_UP.log_prob(&[0.0; 2], (&[1.0; 2], &[]), &[3.0, -1.0]);
         assert!((one + 2.0 * libm::logf(6.0)).abs() < 1e-6);
     }
 
@@ -276,11 +280,16 @@ mod tests {
         for head in [EXPLORING, WARMING_UP, Head::Gaussian] {
             assert!(head.check(1).is_ok());
         }
+        assert!(Head::TanhGaussian { low: 1.0, high: 2.0, noise: Some(NOISE) }.check(1).is_ok());
         assert!(Head::Categorical { choices: 3 }.check(2).is_err());
         for head in [
             Head::Uniform { low: 1.0, high: 1.0 },
             Head::TanhGaussian { low: 2.0, high: 1.0, noise: None },
-            Head::TanhGaussian { low: 1.0, high: 2.0, noise: Some(NOISE) },
+            Head::TanhGaussian {
+                low: 1.0,
+                high: 2.0,
+                noise: Some(SharedNoise { size: 0, ..NOISE }),
+            },
             Head::Uniform { low: f32::NAN, high: 1.0 },
             Head::Deterministic { noise_sigma: 0.0, low: -1.0, high: 1.0 },
             Head::Categorical { choices: 0 },

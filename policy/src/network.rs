@@ -11,6 +11,7 @@ use crate::gaussian::Gaussian;
 use crate::head::{Distribution, Head};
 use crate::ops::{LayerStack, RecurrentInput, Weights, sigmoid};
 use crate::parameters::Parameters;
+use crate::shared_noise::LOADING;
 
 /// `T` steps of `B` sequences, rows `t * B + b`.
 #[derive(Clone, Debug)]
@@ -71,7 +72,7 @@ impl ActorNetwork {
         };
         let learnt = head.shared_noise().filter(|noise| noise.loading.is_none());
         let loading = match learnt {
-            Some(noise) => Some(parameters.add("head.loading", noise.initial(action)?)?),
+            Some(noise) => Some(parameters.add(LOADING, noise.initial(action)?)?),
             None => None,
         };
         let sigma_floor = f64::from(config.sigma_floor);

@@ -52,6 +52,8 @@ pub enum Purpose {
     Signal = 40,
     /// The part of the noise of served actions that all agents share.
     ServedSignal = 41,
+    /// The part of the noise of the actions that an off-policy update draws that all agents share.
+    UpdateSignal = 42,
 }
 
 /// The key of a draw. Fields that do not apply stay 0.

@@ -16,6 +16,8 @@ use crate::ops::sigmoid;
 use crate::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use crate::tanh_gaussian;
 
+/// Name of the parameters `u` of learnt loadings.
+pub(crate) const LOADING: &str = "head.loading";
 /// Largest norm of a row of loadings.
 pub(crate) const LARGEST_LOADING: f32 = 0.95;
 /// Most numbers of a signal.
@@ -63,16 +65,9 @@ impl SharedNoise {
         self.share.unwrap_or(1.0)
     }
 
-    /// `sqrt(1 - |r|^2)` of constant loadings: the fraction of a deviation that is each agent's own; 1 if noise is independent.
-    #[must_use]
-    pub fn own_part(noise: Option<Self>) -> f64 {
-        let loading = |noise: Self| noise.share() * noise.loading.unwrap_or_default();
-        let loading = f64::from(noise.map_or(0.0, loading));
-        (1.0 - loading * loading).sqrt()
-    }
-
     /// The same noise with this fraction of the loadings.
-    pub(crate) fn scaled(self, share: f32) -> Self {
+    #[must_use]
+    pub fn scaled(self, share: f32) -> Self {
         Self { share: Some(share).filter(|share| *share != 1.0), ..self }
     }
 
@@ -93,7 +88,10 @@ impl SharedNoise {
     }
 
     /// Initial parameters `u`, `[act, K]`.
-    pub(crate) fn initial(self, action: usize) -> Result<Tensor, PolicyError> {
+    ///
+    /// # Errors
+    /// Passes on a tensor error.
+    pub fn initial(self, action: usize) -> Result<Tensor, PolicyError> {
         let values = self.pattern(action, INITIAL);
         Ok(Tensor::from_vec(values, (action, self.size), &Device::Cpu)?)
     }
@@ -108,7 +106,23 @@ impl SharedNoise {
         self.pattern(action, self.share() * self.loading.unwrap_or_default())
     }
 
-    /// The loadings `share limit tanh(u)`, `[act, K]`, of parameters `u`, or the constant ones.
+    /// The loadings `share limit tanh(u)`, `[act, K]`, of parameters `u`.
+    #[must_use]
+    pub fn learnt(self, u: &[f32]) -> Vec<f32> {
+        u.iter().map(|u| self.share() * self.limit() * kernels::tanh(*u)).collect()
+    }
+
+    /// The derivative of every loading of [`Self::learnt`] by its parameter.
+    #[must_use]
+    pub fn learnt_slopes(self, u: &[f32]) -> Vec<f64> {
+        let slope = |u: &f32| {
+            let tangent = f64::from(kernels::tanh(*u));
+            f64::from(self.share() * self.limit()) * (1.0 - tangent * tangent)
+        };
+        u.iter().map(slope).collect()
+    }
+
+    /// The loadings of [`Self::learnt`] as a differentiable tensor, or the constant ones.
     pub(crate) fn loadings(self, u: Option<&Tensor>, action: usize) -> Result<Tensor, PolicyError> {
         let limit = f64::from(self.limit());
         match u {
@@ -134,19 +148,20 @@ pub(crate) struct GivenSignal {
     shifts: Vec<f32>,
     /// `sigma sqrt(1 - |r|^2)`, `[act]`.
     pub(crate) deviations: Vec<f32>,
+    /// `sqrt(1 - |r|^2)`, `[act]`.
+    pub(crate) own: Vec<f64>,
 }
 
 impl GivenSignal {
     /// Deviations of a policy with `sigma` `[act]`, and the parameters `u` `[act, K]` if its loadings are learnt.
     pub(crate) fn new(noise: SharedNoise, sigma: &[f32], u: Option<&[f32]>) -> Self {
-        let learnt = |u: &f32| noise.share() * noise.limit() * kernels::tanh(*u);
-        let constant = || noise.constant(sigma.len());
-        let loadings = u.map_or_else(constant, |u| u.iter().map(learnt).collect());
+        let loadings = u.map_or_else(|| noise.constant(sigma.len()), |u| noise.learnt(u));
         let rows = || loadings.chunks_exact(noise.size).zip(sigma);
         let shifts = rows().flat_map(|(row, sigma)| row.iter().map(move |r| sigma * r)).collect();
         let squares = |row: &[f32]| row.iter().map(|r| r * r).sum::<f32>();
         let deviations = rows().map(|(row, sigma)| sigma * (1.0 - squares(row)).sqrt()).collect();
-        Self { noise, loadings, shifts, deviations }
+        let own = loadings.chunks_exact(noise.size).map(own_part).collect();
+        Self { noise, loadings, shifts, deviations, own }
     }
 
     /// Adds `sigma r z` to the means `[act]` of the step whose action has the key `action`. A tanh-Gaussian's output also has
@@ -164,9 +179,18 @@ impl GivenSignal {
     /// Mean norm of the rows of loadings.
     pub(crate) fn mean_loading(&self) -> f64 {
         let rows = self.loadings.chunks_exact(self.noise.size);
-        let norm = |row: &[f32]| row.iter().map(|&r| f64::from(r) * f64::from(r)).sum::<f64>();
-        rows.map(|row| norm(row).sqrt()).sum::<f64>() / self.deviations.len() as f64
+        rows.map(|row| square(row).sqrt()).sum::<f64>() / self.deviations.len() as f64
     }
+}
+
+/// `|r|^2` of a row of loadings.
+fn square(r: &[f32]) -> f64 {
+    r.iter().map(|&r| f64::from(r) * f64::from(r)).sum()
+}
+
+/// `sqrt(1 - |r|^2)` of a row of loadings: the fraction of a deviation that is the agent's own.
+fn own_part(r: &[f32]) -> f64 {
+    (1.0 - square(r)).sqrt()
 }
 
 impl Draw {
@@ -250,7 +274,8 @@ mod tests {
         let config = PolicyConfig { width: 1, ..probe::config(CoreKind::Mlp) };
         let head = Head::TanhGaussian { low: -1.0, high: 1.0, noise };
         let parameters = [0.0, 0.0, 0.0, 0.0, 0.3, 0.0];
-        ActorPolicy::without_norms(&config, (1, 1), head, &parameters).unwrap()
+        let u = noise.filter(|noise| noise.loading.is_none()).map(|_| &[0.9][..]);
+        ActorPolicy::without_norms(&config, (1, 1), head, (&parameters, u)).unwrap()
     }
 
     /// An output given the signal, and the action drawn.

@@ -2,7 +2,7 @@
 //!
 //! The network's output `[2 A]` has the means `m` of `u`, then `l` with `log sigma = -5 + 3.5 (tanh(l) + 1)`. Both depend
 //! on the observation. Computed in f64, so that an action gives back its `u` as well as its single precision allows.
-//! Given the signal of noise that agents share, the means are shifted and `sigma` is multiplied by `own`, else 1.
+//! Given the signal of noise that agents share, the means are shifted and `sigma` is multiplied by `own` `[A]`, else 1.
 
 use core::f64::consts::LN_2;
 
@@ -49,12 +49,12 @@ fn half_and_middle((low, high): (f32, f32)) -> (f64, f64) {
 /// Draws an action `[A]` from one row's output `[2 A]`.
 pub(crate) fn draw(
     output: &[f32],
-    (range, own): ((f32, f32), f64),
+    (range, own): ((f32, f32), &[f64]),
     rng: &mut impl RngCore,
     action: &mut [f32],
 ) {
     let (means, ls) = output.split_at(action.len());
-    for ((action, &mean), &l) in action.iter_mut().zip(means).zip(ls) {
+    for (((action, &mean), &l), own) in action.iter_mut().zip(means).zip(ls).zip(own) {
         let noise = sigma(l) * own * f64::from(standard_normal(rng));
         *action = squashed(f64::from(mean) + noise, range);
     }
@@ -70,10 +70,10 @@ pub(crate) fn mode(output: &[f32], range: (f32, f32), action: &mut [f32]) {
 /// Log-density of an action `[A]` under one row's output `[2 A]`, nats: `sum_d log N(u_d; m_d, sigma_d) - log |da/du|`.
 /// An action at the edge of the range has many `u`; its density is that of the one closest to the mean, so it is finite.
 #[must_use]
-pub fn log_prob(output: &[f32], (range, own): ((f32, f32), f64), action: &[f32]) -> f32 {
+pub fn log_prob(output: &[f32], (range, own): ((f32, f32), &[f64]), action: &[f32]) -> f32 {
     let (half, middle) = half_and_middle(range);
     let (means, ls) = output.split_at(action.len());
-    let one = |((&mean, &l), &action): ((&f32, &f32), &f32)| {
+    let one = |(((&mean, &l), &action), &own): (((&f32, &f32), &f32), &f64)| {
         let (mean, log_sigma) = (f64::from(mean), log_sigma(f64::from(l)) + libm::log(own));
         let value = (f64::from(action) - middle) / half;
         let nearest = libm::atanh(value.clamp(-EDGE, EDGE));
@@ -86,7 +86,7 @@ pub fn log_prob(output: &[f32], (range, own): ((f32, f32), f64), action: &[f32])
         let gaussian = -0.5 * z * z - log_sigma - f64::from(HALF_LOG_TWO_PI);
         gaussian - libm::log(half) - log_slope(u)
     };
-    means.iter().zip(ls).zip(action).map(one).sum::<f64>() as f32
+    means.iter().zip(ls).zip(action).zip(own).map(one).sum::<f64>() as f32
 }
 
 /// `log (1 - tanh(u)^2)`, also where tanh(u) rounds to 1: `2 (log 2 - |u| - log(1 + exp(-2 |u|)))`.
@@ -105,14 +105,14 @@ mod tests {
 
     /// With independent noise.
     fn log_prob(output: &[f32], range: (f32, f32), action: &[f32]) -> f32 {
-        super::log_prob(output, (range, 1.0), action)
+        super::log_prob(output, (range, &vec![1.0; action.len()]), action)
     }
 
     fn drawn(output: [f32; 2], range: (f32, f32), count: u32) -> Vec<f32> {
         let one = |step| {
             let mut action = [0.0];
             let mut rng = generator(RunSeed(1), Draw::of(Purpose::Probe).step(step));
-            draw(&output, (range, 1.0), &mut rng, &mut action);
+            draw(&output, (range, &[1.0]), &mut rng, &mut action);
             action[0]
         };
         (0..count).map(one).collect()

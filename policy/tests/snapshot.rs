@@ -25,7 +25,8 @@ const SQUASHED: Head = Head::TanhGaussian { low: -1.0, high: 3.0, noise: None };
 /// An agent of 5 observation features and 2 action values, whose parameters are multiples of 0.01.
 fn squashed() -> ActorPolicy {
     let parameters = (0..44).map(|i| 0.01 * i as f32).collect::<Vec<_>>();
-    ActorPolicy::without_norms(&config(CoreKind::Mlp), (5, 2), SQUASHED, &parameters).unwrap()
+    ActorPolicy::without_norms(&config(CoreKind::Mlp), (5, 2), SQUASHED, (&parameters, None))
+        .unwrap()
 }
 
 fn snapshot() -> PolicySnapshot {
@@ -94,7 +95,8 @@ fn a_tanh_gaussian_policy_without_norms_has_the_layers_given_and_keeps_its_mode_
     };
     let (own, warming_up) = (mode(&policy), mode(&squashed().uniform()));
     assert!(own.iter().zip(warming_up).all(|(own, other)| (own - other).abs() < 1e-5), "{own:?}");
-    let few = ActorPolicy::without_norms(&config(CoreKind::Mlp), (5, 2), SQUASHED, &[0.0; 43]);
+    let few =
+        ActorPolicy::without_norms(&config(CoreKind::Mlp), (5, 2), SQUASHED, (&[0.0; 43], None));
     assert!(few.unwrap_err().to_string().contains("43 parameters, expected 44"));
 }
 

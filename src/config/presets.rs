@@ -56,6 +56,8 @@ pub(crate) const ALGORITHMS: &[Preset] = presets!(
     "happo-s2mia-exact",
     "happo-shared",
     "hasac-sm",
+    "hasac-s2mia-exact",
+    "happo-shared-annealed",
 );
 
 /// Hyper-parameters of other work and for other observations, which override the settings of a task.

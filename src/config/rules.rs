@@ -61,8 +61,9 @@ const TABLE: &[Rule] = &[
     ),
     rule(
         INFLUENCE,
-        &[HASAC],
-        "update.rule = hasac; it must be 0: Eq. 10 adds the influence to an on-policy surrogate",
+        &[HASAC, Not("influence.estimator", "exact")],
+        "update.rule = hasac and an estimator that learns or counts; it must be 0, or give policy.noise=shared \
+         influence.estimator=exact: Eq. 10 adds its divergence to an on-policy surrogate",
     ),
     rule(
         Not(START, ""),
@@ -94,11 +95,6 @@ const TABLE: &[Rule] = &[
         SHARED_NOISE,
         &[MADDPG],
         "update.rule = maddpg; it must be independent: its noise is clamped to the range of actions",
-    ),
-    rule(
-        Zero("policy.noise_loading"),
-        &[SHARED_NOISE, HASAC],
-        "update.rule = hasac; it must be above 0, at most 0.95: losses are those of independent noise, so loadings have no gradient",
     ),
     rule(
         SHARED_NOISE,
@@ -251,7 +247,6 @@ mod tests {
         ),
         (&["cue-2x1", "influence.q_training=shared"], "influence.q_training = shared"),
         (&["algorithm=maddpg", "policy.noise=shared"], "policy.noise = shared"),
-        (&["algorithm=hasac", "policy.noise=shared"], "policy.noise_loading is not given"),
         (&["cue-2x1", "policy.noise=shared"], "policy.noise = shared"),
         (&["influence.estimator=exact"], "influence.estimator = exact"),
         (
@@ -284,6 +279,13 @@ mod tests {
             &["influence.posterior_sigma_floor=0.5"],
             &["algorithm=hasac", "update.max_gradient_norm=10", "critic.max_gradient_norm=10"],
             &["algorithm=hasac", "policy.noise=shared", "policy.noise_loading=0.7"],
+            &["algorithm=hasac", "policy.noise=shared"],
+            &[
+                "algorithm=hasac",
+                "policy.noise=shared",
+                "influence.lambda=0.1",
+                "influence.estimator=exact",
+            ],
             &["algorithm=maddpg", "surprise.alpha=0.01", "surprise.density=vae"],
             &["environment_service.url=http://localhost:7", "observation.norm=running"],
         ] {

@@ -197,13 +197,12 @@ const VARIANTS: [&[&str]; 8] = [
     &["task=cue-2x1"],
 ];
 
-/// With [`SMALL_HASAC`]: surprise, and noise that agents share.
-const SOFT_VARIANT: [&str; 6] = [
+/// With [`SMALL_HASAC`]: surprise, and noise that agents share with learnt loadings.
+const SOFT_VARIANT: [&str; 5] = [
     "task=walker2d-2x3",
-    "algorithm=hasac-sm",
+    "algorithm=hasac-s2mia-exact",
     "hasac.warm_up=80",
-    "policy.noise=shared",
-    "policy.noise_loading=0.7",
+    "policy.noise_hold=3",
     "policy.noise_decay_steps=900",
 ];
 

@@ -64,7 +64,10 @@ pub(crate) fn command(arguments: &[&str]) -> Command {
 pub(crate) fn tiny(role: &str, folder: &Path, more: &[&str]) -> Command {
     let has = |setting: &str| more.contains(&setting);
     let mut without = Vec::new();
-    if ["algorithm=maddpg", "algorithm=hasac", "algorithm=hasac-sm"].into_iter().any(has) {
+    if ["algorithm=maddpg", "algorithm=hasac", "algorithm=hasac-sm", "algorithm=hasac-s2mia-exact"]
+        .into_iter()
+        .any(has)
+    {
         without.extend(["policy.", "influence.", "update.epochs", "critic.epochs"]);
     }
     if has("algorithm=mappo") || has("algorithm=happo-s2mia-exact") {

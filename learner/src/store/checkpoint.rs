@@ -5,6 +5,7 @@
 //! one untouched. Loading verifies every file and returns the newest valid checkpoint, and the newer ones that
 //! are damaged.
 
+mod content;
 pub(crate) mod fields;
 mod kept;
 mod manifest;
@@ -13,11 +14,12 @@ mod step;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256, to_safetensors};
+use policy::arrays::{ArrayError, NamedArrays, from_safetensors, hex, sha256};
 
 use crate::store::durable::{self, DRAFT, FileError};
 use crate::store::plain_file;
 
+use content::contents;
 use kept::{is_gone, iterations, prune};
 use step::about_to;
 
@@ -302,36 +304,19 @@ fn write_draft(
     about_to(before, Step::MakeFolder, draft)?;
     durable::remove_folder(draft)?;
     durable::make_folder(draft)?;
-    let mut files = files(checkpoint)?;
-    files.insert(SETTINGS.to_owned(), settings.toml.as_bytes().to_vec());
-    let manifest = Manifest::of((checkpoint, saved), settings.sha256, &files).to_bytes();
-    let last = (MANIFEST.to_owned(), manifest);
-    for (name, bytes) in files.into_iter().chain([last]) {
-        let path = draft.join(name);
+    let mut entries = BTreeMap::new();
+    for (name, content) in contents(checkpoint, settings.toml)? {
+        let path = draft.join(&name);
         about_to(before, Step::WriteFile, &path)?;
-        durable::write(&path, &bytes)?;
+        entries.insert(name, content.write(&path)?);
     }
+    let manifest = Manifest::of((checkpoint, saved), settings.sha256, entries).to_bytes();
+    let path = draft.join(MANIFEST);
+    about_to(before, Step::WriteFile, &path)?;
+    durable::write(&path, &manifest)?;
     about_to(before, Step::FlushFiles, draft)?;
     durable::sync_folder(draft)?;
     Ok(())
-}
-
-/// The files but the manifest, by name: one per group of arrays, and the policies.
-fn files(checkpoint: &Checkpoint) -> Result<BTreeMap<String, Vec<u8>>, CheckpointError> {
-    let mut groups: BTreeMap<&str, NamedArrays> = BTreeMap::new();
-    for (name, array) in &checkpoint.arrays {
-        let group = name.split('/').next().unwrap_or_default();
-        if !GROUPS.contains(&group) {
-            let detail = format!("belongs to none of the groups {}", GROUPS.join(", "));
-            return Err(fields::wrong(name, &detail));
-        }
-        groups.entry(group).or_default().insert(name.clone(), array.clone());
-    }
-    let mut files = BTreeMap::from([(POLICY.to_owned(), checkpoint.policy.clone())]);
-    for (group, arrays) in groups {
-        files.insert(format!("{group}.safetensors"), to_safetensors(&arrays, &BTreeMap::new())?);
-    }
-    Ok(files)
 }
 
 /// Reads and verifies a checkpoint; otherwise what is wrong with it.

@@ -1,7 +1,7 @@
 //! Files that survive a crash and a power cut: written beside their place, flushed, then renamed.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read as _, Write as _};
+use std::io::{self, BufWriter, Read as _, Write as _};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
@@ -41,13 +41,28 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 }
 
 fn write_for(mode: u32, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let mut file = create(mode, path)?;
+    let written = file.write_all(bytes).and_then(|()| file.sync_all());
+    written.map_err(FileError::of("write", path))
+}
+
+/// A new, empty file. What is at the path is removed first, never written through.
+fn create(mode: u32, path: &Path) -> Result<File, FileError> {
     remove_file(path)?;
     let created = OpenOptions::new().write(true).create_new(true).mode(mode).open(path);
-    let written = created.and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()
-    });
-    written.map_err(FileError::of("write", path))
+    created.map_err(FileError::of("write", path))
+}
+
+/// As [`write`], with the bytes that `content` writes.
+pub(crate) fn write_by<T, E: From<FileError>>(
+    path: &Path,
+    content: impl FnOnce(&mut BufWriter<File>) -> Result<T, E>,
+) -> Result<T, E> {
+    let mut file = BufWriter::new(create(ANYONE, path)?);
+    let written = content(&mut file)?;
+    let flushed = file.flush().and_then(|()| file.get_ref().sync_all());
+    flushed.map_err(FileError::of("write", path))?;
+    Ok(written)
 }
 
 /// Waits until the disk has the folder's entries.

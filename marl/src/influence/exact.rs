@@ -7,13 +7,23 @@ use libm::log;
 
 /// `sum_d r_d r_d^T / (1 - |r_d|^2)`, `[K, K]`: the precision that the actions with these loadings `[act, K]` add to that of
 /// the signal, which is 1.
-pub(crate) fn signal_precision(loading: &[f64], size: usize) -> Vec<f64> {
+fn signal_precision(loading: &[f64], size: usize) -> Vec<f64> {
     let mut sum = vec![0.0; size * size];
     for r in loading.chunks_exact(size) {
         let rest = 1.0 - square(r);
         for (at, element) in sum.iter_mut().enumerate() {
             *element += r[at / size] * r[at % size] / rest;
         }
+    }
+    sum
+}
+
+/// The sum of [`signal_precision`] over all agents but `agent`, `[K, K]`, from every agent's loadings `[act, K]`.
+pub(crate) fn others_precision(agent: usize, loadings: &[&[f64]], size: usize) -> Vec<f64> {
+    let mut sum = vec![0.0; size * size];
+    for (_, other) in loadings.iter().enumerate().filter(|(index, _)| *index != agent) {
+        let precision = signal_precision(other, size);
+        sum.iter_mut().zip(precision).for_each(|(sum, one)| *sum += one);
     }
     sum
 }

@@ -8,9 +8,10 @@ mod actions;
 mod agent;
 mod columns;
 mod critics;
+mod loadings;
 mod network;
 
-use policy::randomness::{Draw, Purpose, RunSeed, generator};
+use policy::randomness::{Draw, Purpose, RunSeed, generator, standard_normal};
 use policy::{PolicyConfig, PolicySnapshot};
 use rand::RngCore;
 use rayon::prelude::*;
@@ -18,11 +19,13 @@ use rayon::prelude::*;
 use crate::config::TrainingConfig;
 use crate::data::batch::{Batch, Problem};
 use crate::error::MarlError;
+use crate::influence::exact::{exact_information, others_precision};
 use crate::optimisation::minibatch::permutation;
 use crate::rules::algorithm::{Algorithm, PREFIXES, Report};
 use crate::rules::hasac::actions::DrawnActions;
 use crate::rules::hasac::agent::{HasacAgent, PolicyMetrics};
 use crate::rules::hasac::critics::{CriticMetrics, TwinCritics};
+use crate::rules::hasac::loadings::Loadings;
 use crate::rules::off_policy::ReplayedExperience;
 use crate::rules::off_policy::replay::Sample;
 use crate::state::{StoredState, Visitor, visit_count};
@@ -35,8 +38,6 @@ pub(crate) struct Hasac {
     agents: Vec<HasacAgent>,
     critics: TwinCritics,
     experience: ReplayedExperience,
-    /// Fraction of the loadings of noise that agents share, in acting only.
-    noise_share: f32,
     /// Optimiser steps of the critics so far.
     steps: i64,
 }
@@ -69,7 +70,6 @@ impl Hasac {
             agents: (0..problem.agents.len()).map(agent).collect::<Result<_, _>>()?,
             critics: TwinCritics::new((config, own), problem, seed)?,
             experience: ReplayedExperience::new(replay, config, problem, seed),
-            noise_share: 1.0,
             steps: 0,
         })
     }
@@ -87,34 +87,46 @@ impl Hasac {
         let draw = Draw::of(Purpose::UpdateAction).iteration(iteration).step(step);
         let noise = |agent: usize| generator(self.seed, draw.agent(agent as u32));
         let mut noise: Vec<_> = (0..self.agents.len()).map(noise).collect();
-        let figures = self.fit_critics(&sample, &mut noise)?;
+        let [next_signal, signal] = self.signals((iteration, step), sample.discount.len());
+        let figures = self.fit_critics(&sample, &next_signal, &mut noise)?;
         sums.critics.value_loss += figures.value_loss;
         sums.critics.gradient_norm += figures.gradient_norm;
         if (self.steps as u64).is_multiple_of(self.policy_every) {
             let order = Draw::of(Purpose::AgentOrder).iteration(iteration).step(step);
             let order = permutation(self.agents.len(), &mut generator(self.seed, order));
-            let figures = self.improve_policies(&sample, &order, &mut noise)?;
+            let figures = self.improve_policies(&sample, &order, &signal, &mut noise)?;
             sums.policy_steps += 1;
             for (sum, figures) in sums.policies.iter_mut().zip(figures) {
                 sum.policy_loss += figures.policy_loss;
                 sum.action_value += figures.action_value;
                 sum.entropy += figures.entropy;
                 sum.gradient_norm += figures.gradient_norm;
+                sum.information += figures.information;
             }
         }
         self.steps += 1;
         Ok(())
     }
 
-    /// Actions of all agents for their observations `[N][R, obs]`.
+    /// The signals that agents share in the next and the current states of `rows` transitions, `[R, K]` each; empty unless the
+    /// loadings are learnt. Constant loadings correlate acting only.
+    fn signals(&self, (iteration, step): (u64, u32), rows: usize) -> [Vec<f32>; 2] {
+        let size = self.agents[0].loadings().map_or(0, Loadings::signal_size);
+        let draw = Draw::of(Purpose::UpdateSignal).iteration(iteration).step(step);
+        let mut rng = generator(self.seed, draw);
+        [(); 2].map(|()| (0..rows * size).map(|_| standard_normal(&mut rng)).collect())
+    }
+
+    /// Actions of all agents for their observations `[N][R, obs]` and the signal that they share `[R, K]`.
     fn act<R: RngCore + Send>(
         &mut self,
         observation: &[Vec<f32>],
+        signal: &[f32],
         noise: &mut [R],
-    ) -> Vec<DrawnActions> {
+    ) -> Result<Vec<DrawnActions>, MarlError> {
         let inputs = observation.par_iter().zip(noise);
         let agents = self.agents.par_iter_mut().zip(inputs);
-        agents.map(|(agent, (observation, noise))| agent.act(observation, noise)).collect()
+        agents.map(|(agent, (observation, noise))| agent.act(observation, signal, noise)).collect()
     }
 
     /// One step of the critics towards
@@ -123,9 +135,10 @@ impl Hasac {
     fn fit_critics<R: RngCore + Send>(
         &mut self,
         sample: &Sample,
+        signal: &[f32],
         noise: &mut [R],
     ) -> Result<CriticMetrics, MarlError> {
-        let next = self.act(&sample.next.observation, noise);
+        let next = self.act(&sample.next.observation, signal, noise)?;
         let temperatures = self.agents.iter().map(HasacAgent::temperature);
         let temperatures = temperatures.collect::<Result<Vec<_>, _>>()?;
         let taken: Vec<&[f32]> = sample.action.iter().map(Vec::as_slice).collect();
@@ -141,25 +154,48 @@ impl Hasac {
         &mut self,
         sample: &Sample,
         order: &[usize],
+        signal: &[f32],
         noise: &mut [R],
     ) -> Result<Vec<PolicyMetrics>, MarlError> {
         let mut critics = self.critics.frozen()?;
-        let drawn = self.act(&sample.now.observation, noise);
+        let drawn = self.act(&sample.now.observation, signal, noise)?;
         let mut actions: Vec<Vec<f32>> = drawn.into_iter().map(|drawn| drawn.action).collect();
         let mut figures = vec![PolicyMetrics::default(); self.agents.len()];
         for &index in order {
             let observation = &sample.now.observation[index];
-            let drawn = self.agents[index].act_in_training(observation, &mut noise[index])?;
+            let drawn =
+                self.agents[index].act_in_training(observation, signal, &mut noise[index])?;
             actions[index].clone_from(&drawn.action);
             let joint: Vec<&[f32]> = actions.iter().map(Vec::as_slice).collect();
             let input = self.critics.joint_input(&sample.now.state, &joint);
             let (values, by_input) = critics.smaller(&input);
             let by_action = self.columns_of(index, &by_input);
+            let others = self.others_precision(index)?;
             let agent = &mut self.agents[index];
-            figures[index] = agent.improve(&drawn, &values, &by_action)?;
-            actions[index] = agent.act(observation, &mut noise[index]).action;
+            figures[index] = agent.improve(&drawn, (&values, &by_action), (signal, &others))?;
+            actions[index] = agent.act(observation, signal, &mut noise[index])?.action;
         }
         Ok(figures)
+    }
+
+    /// The precision that the current actions of all agents but `index` add to the signal's, `[K, K]`; empty unless the loadings are
+    /// learnt.
+    fn others_precision(&self, index: usize) -> Result<Vec<f64>, MarlError> {
+        let loadings = self.agents.iter().filter_map(HasacAgent::loadings);
+        let Some(size) = loadings.clone().next().map(Loadings::signal_size) else {
+            return Ok(Vec::new());
+        };
+        let loadings = loadings.map(Loadings::values).collect::<Result<Vec<_>, _>>()?;
+        let loadings: Vec<&[f64]> = loadings.iter().map(Vec::as_slice).collect();
+        Ok(others_precision(index, &loadings, size))
+    }
+
+    /// Information between the actions of agent `index` and those of all others, nats; `None` unless it has a weight.
+    fn information(&self, index: usize) -> Result<Option<f64>, MarlError> {
+        let weighted = |loadings: &&Loadings| loadings.lambda() > 0.0;
+        let Some(own) = self.agents[index].loadings().filter(weighted) else { return Ok(None) };
+        let others = self.others_precision(index)?;
+        Ok(Some(exact_information(&own.values()?, &others, own.signal_size()).0))
     }
 
     /// The columns of the joint input `[R, S + A]` that are actions of agent `index`, `[R, act]`.
@@ -170,7 +206,13 @@ impl Hasac {
         input.chunks_exact(width).flat_map(|row| &row[columns.clone()]).copied().collect()
     }
 
-    fn report(&self, updates: u64, sums: &Sums) -> Result<Report, MarlError> {
+    /// Metrics of an iteration's `updates`, before which the agents' information was `known`.
+    fn report(
+        &self,
+        updates: u64,
+        sums: &Sums,
+        known: &[Option<f64>],
+    ) -> Result<Report, MarlError> {
         let mut report = self.experience.report(updates);
         if updates == 0 {
             return Ok(report);
@@ -193,7 +235,9 @@ impl Hasac {
                 ("temperature", Some(agent.temperature()?)),
                 ("gradient_norm", mean(sum.gradient_norm)),
                 ("skipped_steps", Some(agent.skipped() as f64)),
-                ("noise_loading", agent.policy(self.noise_share)?.mean_loading()),
+                ("noise_loading", agent.policy()?.mean_loading()),
+                ("influence_kl", known[index].and_then(|_| mean(sum.information))),
+                ("mi_estimate", known[index]),
             ] {
                 report.extend(value.map(|value| (format!("agent{index}/{name}"), value)));
             }
@@ -235,7 +279,7 @@ impl Algorithm for Hasac {
     }
 
     fn scale_noise(&mut self, share: f64) {
-        self.noise_share = share as f32;
+        self.agents.iter_mut().for_each(|agent| agent.scale_noise(share as f32));
     }
 
     fn begin_again(&mut self, environment: usize) {
@@ -254,14 +298,16 @@ impl Algorithm for Hasac {
             policy_steps: 0,
             policies: vec![PolicyMetrics::default(); self.agents.len()],
         };
+        let known = (0..self.agents.len()).map(|index| self.information(index));
+        let known = known.collect::<Result<Vec<_>, _>>()?;
         for step in 0..updates {
             self.learn((iteration, step as u32), rewards.surprise, &mut sums)?;
         }
-        self.report(updates, &sums)
+        self.report(updates, &sums, &known)
     }
 
     fn snapshot(&self) -> Result<PolicySnapshot, MarlError> {
-        let agents = self.agents.iter().map(|agent| agent.policy(self.noise_share));
+        let agents = self.agents.iter().map(HasacAgent::policy);
         Ok(self.experience.snapshot(agents.collect::<Result<_, _>>()?))
     }
 }

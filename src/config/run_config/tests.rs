@@ -31,8 +31,10 @@ fn tasks_and_presets() -> Vec<(&'static str, &'static str)> {
 fn every_task_with_every_algorithm_and_preset_is_valid_but_games_with_a_replay_or_shared_noise() {
     for (task, preset) in tasks_and_presets() {
         for algorithm in presets::ALGORITHMS {
-            let of_robots = ["maddpg", "hasac", "hasac-sm", "happo-shared", "happo-s2mia-exact"];
-            if sim::Robot::of_task(task).is_err() && of_robots.contains(&algorithm.name) {
+            let of_robots = ["maddpg", "hasac", "happo-shared", "happo-s2mia-exact"];
+            let mut layers = presets::of_algorithm(algorithm.name);
+            let of_robots = layers.any(|layer| of_robots.contains(&layer.name));
+            if sim::Robot::of_task(task).is_err() && of_robots {
                 continue;
             }
             let algorithm = format!("algorithm={}", algorithm.name);
@@ -69,10 +71,12 @@ fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
         ("happo-mi", 0.0, 0.01, 0.0),
         ("happo-0", 0.0, 0.0, 0.0),
         ("happo-shared", 0.0, 0.0, 0.01),
+        ("happo-shared-annealed", 0.0, 0.0, 0.01),
         ("happo-s2mia-exact", 0.01, 0.01, 0.0),
     ] {
         for (task, preset) in tasks_and_presets() {
-            let is_shared = ["happo-shared", "happo-s2mia-exact"].contains(&algorithm);
+            let shared = ["happo-shared", "happo-shared-annealed", "happo-s2mia-exact"];
+            let is_shared = shared.contains(&algorithm);
             if task == "cue-2x1" && is_shared {
                 continue;
             }
@@ -88,12 +92,23 @@ fn a_variant_of_happo_is_its_three_weights_whatever_the_task_and_preset() {
 }
 
 #[test]
-fn hasac_with_surprise_is_hasac_but_for_the_weight_of_surprise() {
+fn variants_of_hasac_are_hasac_but_for_the_weights_of_surprise_and_influence() {
     let training = |name: &str| RunConfig::with(&[&format!("algorithm={name}")]).unwrap().training;
     let (mut plain, surprised) = (training("hasac"), training("hasac-sm"));
     assert_eq!((plain.surprise.alpha, surprised.surprise.alpha), (0.0, 0.01));
     plain.surprise.alpha = 0.01;
     assert_eq!(plain, surprised);
+    plain.influence.lambda = 0.01;
+    plain.influence.estimator = marl::config::Estimator::Exact;
+    assert_eq!(plain, training("hasac-s2mia-exact"));
+}
+
+#[test]
+fn annealed_noise_is_shared_noise_but_for_its_decay() {
+    let of = |settings: &[&str]| RunConfig::with(settings).unwrap();
+    let annealed = of(&["algorithm=happo-shared-annealed"]);
+    let shared = of(&["algorithm=happo-shared", "policy.noise_decay_steps=500_000"]);
+    assert_eq!((annealed.policy, annealed.training), (shared.policy, shared.training));
 }
 
 #[test]

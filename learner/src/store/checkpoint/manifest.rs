@@ -1,6 +1,7 @@
 //! A checkpoint's manifest: what the checkpoint is, and every file with its size and hash.
 
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 
 use policy::arrays::hex;
 use serde::{Deserialize, Serialize};
@@ -51,9 +52,8 @@ impl Manifest {
     pub(super) fn of(
         (checkpoint, saved): (&Checkpoint, &Saved),
         config_sha256: &str,
-        files: &BTreeMap<String, Vec<u8>>,
+        files: BTreeMap<String, FileEntry>,
     ) -> Self {
-        let entries = files.iter().map(|(name, bytes)| (name.clone(), FileEntry::of(bytes)));
         let mut manifest = Self {
             schema: SCHEMA,
             config_sha256: config_sha256.to_owned(),
@@ -61,7 +61,7 @@ impl Manifest {
             env_steps: checkpoint.env_steps,
             weights_sha256: saved.weights_sha256.clone(),
             state_sha256: saved.state_sha256.clone(),
-            files: entries.collect(),
+            files,
             manifest_sha256: String::new(),
         };
         manifest.manifest_sha256 = manifest.own_sha256();
@@ -119,10 +119,6 @@ impl Manifest {
 }
 
 impl FileEntry {
-    fn of(bytes: &[u8]) -> Self {
-        Self { size: bytes.len() as u64, sha256: hex(&Sha256::digest(bytes)) }
-    }
-
     /// Compares the hash of a file's bytes with the recorded one.
     pub(super) fn verify(&self, name: &str, bytes: &[u8]) -> Result<(), String> {
         let found = hex(&Sha256::digest(bytes));
@@ -130,6 +126,36 @@ impl FileEntry {
             return Ok(());
         }
         Err(format!("{name} has SHA-256 {found}, manifest.json says {}", self.sha256))
+    }
+}
+
+/// Describes the file that is written through it.
+pub(super) struct Described<W> {
+    to: W,
+    size: u64,
+    hash: Sha256,
+}
+
+impl<W> Described<W> {
+    pub(super) fn new(to: W) -> Self {
+        Self { to, size: 0, hash: Sha256::new() }
+    }
+
+    pub(super) fn entry(self) -> FileEntry {
+        FileEntry { size: self.size, sha256: hex(&self.hash.finalize()) }
+    }
+}
+
+impl<W: Write> Write for Described<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = self.to.write(bytes)?;
+        self.hash.update(&bytes[..count]);
+        self.size += count as u64;
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
     }
 }
 

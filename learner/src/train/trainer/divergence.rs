@@ -17,6 +17,9 @@ const SEVERE: f64 = 0.01;
 /// soon after.
 const LARGEST_MEAN: f32 = 1e4;
 
+/// Largest mean before tanh: log-densities fall with its square, and soon after leave single precision.
+const LARGEST_MEAN_BEFORE_TANH: f32 = 1e8;
+
 const LOWER: &str = "lower update.learning_rate, critic.learning_rate or influence.learning_rate";
 
 /// Counts the iterations in which environments diverged.
@@ -61,14 +64,24 @@ pub(super) fn unusable(policies: &PolicySnapshot, batch: &Batch) -> Option<Diver
         let mut hidden = vec![0.0; rows * policy.hidden_size()];
         let mut output = vec![0.0; rows * policy.output_size()];
         policy.forward(rows, &own.observation[first..], &mut hidden, &mut output, &mut scratch);
-        let largest = match policy.head() {
-            Head::Gaussian | Head::SharedGaussian(_) => LARGEST_MEAN,
-            _ => f32::MAX,
-        };
-        let found = output.into_iter().find(|value| value.is_nan() || value.abs() > largest)?;
+        let mut rows = output.chunks_exact(policy.output_size());
+        let (found, largest) =
+            rows.find_map(|row| beyond(policy.head(), policy.action_size(), row))?;
         let why = format!("its output is {found:e}, the limit is {largest:e}");
         Some(Diverged { network: format!("agent_{index}"), why })
     })
+}
+
+/// The first number of one row's outputs beyond its limit, and the limit.
+fn beyond(head: Head, actions: usize, output: &[f32]) -> Option<(f32, f32)> {
+    let limit = |index: usize| match head {
+        Head::Gaussian | Head::SharedGaussian(_) => LARGEST_MEAN,
+        // After the means come the deviations' outputs, which tanh bounds.
+        Head::TanhGaussian { .. } if index < actions => LARGEST_MEAN_BEFORE_TANH,
+        _ => f32::MAX,
+    };
+    let mut limited = output.iter().enumerate().map(|(index, value)| (*value, limit(index)));
+    limited.find(|(value, largest)| value.is_nan() || value.abs() > *largest)
 }
 
 /// The error that ends a run after the update of `iteration`.
@@ -227,6 +240,16 @@ mod tests {
             let expected = Diverged { network: network.to_owned(), why: why.to_owned() };
             assert_eq!(infinite(&weights(name, f32::INFINITY)), Some(expected));
         }
+    }
+
+    #[test]
+    fn outputs_beyond_the_limits_of_their_head_are_found() {
+        let squashed = Head::TanhGaussian { low: -1.0, high: 1.0, noise: None };
+        assert_eq!(beyond(squashed, 1, &[-9e7, 1e30]), None);
+        assert_eq!(beyond(squashed, 1, &[-2e8, 0.0]), Some((-2e8, 1e8)));
+        assert!(beyond(squashed, 1, &[0.0, f32::NAN]).is_some_and(|(found, _)| found.is_nan()));
+        assert_eq!(beyond(Head::Gaussian, 2, &[1.0, 2e4]), Some((2e4, 1e4)));
+        assert_eq!(beyond(Head::Categorical { choices: 2 }, 1, &[1e30, -1e30]), None);
     }
 
     #[test]

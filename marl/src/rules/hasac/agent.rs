@@ -12,6 +12,7 @@ use crate::error::MarlError;
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::rules::hasac::actions::DrawnActions;
+use crate::rules::hasac::loadings::Loadings;
 use crate::rules::hasac::network::{FrozenNetwork, NormalisedNetwork};
 use crate::state::{Visitor, visit_parameters};
 
@@ -20,10 +21,14 @@ pub(super) struct HasacAgent {
     index: usize,
     shape: AgentShape,
     config: PolicyConfig,
+    /// The distribution of actions, with the current fraction of the loadings of shared noise.
+    head: Head,
     network: NormalisedNetwork,
     /// The network with its running statistics, as actors have it.
     frozen: FrozenNetwork,
     temperature: Temperature,
+    /// Of shared noise, if they are learnt.
+    loadings: Option<Loadings>,
 }
 
 /// Metrics of one optimiser step of a policy.
@@ -35,6 +40,8 @@ pub(super) struct PolicyMetrics {
     /// Of the actions after tanh, nats.
     pub(super) entropy: f64,
     pub(super) gradient_norm: f64,
+    /// Between the agent's actions and the others', nats; only with learnt loadings.
+    pub(super) information: f64,
 }
 
 impl HasacAgent {
@@ -50,12 +57,19 @@ impl HasacAgent {
         let sizes = (shape.observation, policy.width, policy.layers, 2 * shape.action);
         let adam = config.update.adam();
         let network = NormalisedNetwork::new(sizes, (adam, own), &mut rng)?;
+        let (low, high) = shape.action_range;
+        let head = policy.with_noise(Head::TanhGaussian { low, high, noise: None });
+        let learnt = head.shared_noise().filter(|noise| noise.loading.is_none());
+        let lambda = config.influence.lambda;
+        let loadings = learnt.map(|noise| Loadings::new(noise, shape.action, adam, lambda));
         Ok(Self {
             index,
             config: policy.clone(),
+            head,
             frozen: network.frozen()?,
             network,
             temperature: Temperature::new(own.initial_temperature, shape.action, adam)?,
+            loadings: loadings.transpose()?,
             shape,
         })
     }
@@ -65,13 +79,24 @@ impl HasacAgent {
         self.shape.action
     }
 
-    /// The policy for acting, with this fraction of the loadings of shared noise.
-    pub(super) fn policy(&self, noise_share: f32) -> Result<ActorPolicy, MarlError> {
-        let (low, high) = self.shape.action_range;
+    /// The policy for acting.
+    pub(super) fn policy(&self) -> Result<ActorPolicy, MarlError> {
         let sizes = (self.shape.observation, self.shape.action);
-        let head = self.config.with_noise(Head::TanhGaussian { low, high, noise: None });
-        let head = head.with_noise_share(noise_share);
-        Ok(ActorPolicy::without_norms(&self.config, sizes, head, &self.network.folded()?)?)
+        let loading = self.loadings.as_ref().map(Loadings::parameters).transpose()?;
+        let parameters = self.network.folded()?;
+        let parameters = (parameters.as_slice(), loading.as_deref());
+        Ok(ActorPolicy::without_norms(&self.config, sizes, self.head, parameters)?)
+    }
+
+    /// The loadings of shared noise, if they are learnt.
+    pub(super) fn loadings(&self) -> Option<&Loadings> {
+        self.loadings.as_ref()
+    }
+
+    /// From now on with this fraction of the loadings of shared noise.
+    pub(super) fn scale_noise(&mut self, share: f32) {
+        self.head = self.head.with_noise_share(share);
+        self.loadings.iter_mut().for_each(|loadings| loadings.scale(share));
     }
 
     pub(super) fn temperature(&self) -> Result<f64, MarlError> {
@@ -79,38 +104,53 @@ impl HasacAgent {
     }
 
     pub(super) fn skipped(&self) -> i64 {
-        self.network.skipped()
+        let loadings = self.loadings.as_ref().map_or(0, Loadings::skipped);
+        self.network.skipped() + self.temperature.adam.skipped() + loadings
     }
 
-    /// Actions for observations `[R, obs]`, with running statistics.
-    pub(super) fn act(&mut self, observation: &[f32], rng: &mut impl RngCore) -> DrawnActions {
+    /// Actions for observations `[R, obs]` and the signal that agents share `[R, K]`, with running statistics.
+    pub(super) fn act(
+        &mut self,
+        observation: &[f32],
+        signal: &[f32],
+        rng: &mut impl RngCore,
+    ) -> Result<DrawnActions, MarlError> {
         let output = self.frozen.forward(observation);
-        self.drawn(&output, rng)
+        self.drawn(&output, signal, rng)
     }
 
-    /// Actions for observations `[R, obs]`, with the statistics of these observations.
+    /// As [`Self::act`], with the statistics of these observations.
     pub(super) fn act_in_training(
         &mut self,
         observation: &[f32],
+        signal: &[f32],
         rng: &mut impl RngCore,
     ) -> Result<DrawnActions, MarlError> {
         let output = self.network.forward(observation)?;
-        Ok(self.drawn(&output, rng))
+        self.drawn(&output, signal, rng)
     }
 
-    fn drawn(&self, output: &[f32], rng: &mut impl RngCore) -> DrawnActions {
-        let count = output.len() / 2;
-        let noise: Vec<f32> = (0..count).map(|_| standard_normal(rng)).collect();
-        DrawnActions::new(output, &noise, self.shape.action, self.shape.action_range)
+    fn drawn(
+        &self,
+        output: &[f32],
+        signal: &[f32],
+        rng: &mut impl RngCore,
+    ) -> Result<DrawnActions, MarlError> {
+        let noise = match &self.loadings {
+            Some(loadings) => loadings.noise(signal, rng)?,
+            None => (0..output.len() / 2).map(|_| standard_normal(rng)).collect(),
+        };
+        Ok(DrawnActions::new(output, noise, self.shape.action, self.shape.action_range))
     }
 
     /// One descent step on `mean(temperature log_prob - value)` of the actions of [`Self::act_in_training`], with every
-    /// row's value `[R]` and its gradient by the agent's action `[R, act]`; then a step of the temperature.
+    /// row's value `[R]` and its gradient by the agent's action `[R, act]`; then a step of the temperature, and of the loadings for this
+    /// `shared` signal `[R, K]` and the precision `[K, K]` that the others' actions add to it.
     pub(super) fn improve(
         &mut self,
         drawn: &DrawnActions,
-        values: &[f64],
-        by_action: &[f32],
+        (values, by_action): (&[f64], &[f32]),
+        (signal, others): (&[f32], &[f64]),
     ) -> Result<PolicyMetrics, MarlError> {
         let temperature = self.temperature.value()?;
         let gradient = drawn.gradient(temperature, by_action);
@@ -120,19 +160,28 @@ impl HasacAgent {
         self.temperature.step(entropy)?;
         let action_value = values.iter().sum::<f64>() / values.len() as f64;
         let policy_loss = -temperature * entropy - action_value;
-        Ok(PolicyMetrics { policy_loss, action_value, entropy, gradient_norm })
+        let mut figures =
+            PolicyMetrics { policy_loss, action_value, entropy, gradient_norm, information: 0.0 };
+        if let Some(loadings) = &mut self.loadings {
+            let by_noise = drawn.noise_gradient(temperature, by_action);
+            figures.information = loadings.step((&drawn.noise, &by_noise), signal, others)?;
+        }
+        Ok(figures)
     }
 
     pub(super) fn scale_learning_rates(&mut self, share: f64) {
         self.network.scale_learning_rate(share);
         self.temperature.adam.scale_learning_rate(share);
+        self.loadings.iter_mut().for_each(|loadings| loadings.scale_learning_rate(share));
     }
 
-    /// Visits the arrays of `agent_I` and `temperature_I`.
+    /// Visits the arrays of `agent_I`, `temperature_I` and `noise_I`.
     pub(super) fn visit(&mut self, visitor: &mut dyn Visitor) -> Result<(), MarlError> {
         self.network.visit(&format!("agent_{}", self.index), visitor)?;
         self.frozen = self.network.frozen()?;
-        self.temperature.visit(&format!("temperature_{}", self.index), visitor)
+        self.temperature.visit(&format!("temperature_{}", self.index), visitor)?;
+        let name = format!("noise_{}", self.index);
+        self.loadings.as_mut().map_or(Ok(()), |loadings| loadings.visit(&name, visitor))
     }
 }
 

@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use crate::data::sequence::Sequences;
 use crate::distribution::HeadRows;
 use crate::influence::count::JointSample;
-use crate::influence::exact::{exact_information, signal_precision};
+use crate::influence::exact::{exact_information, others_precision};
 use crate::influence::posterior::Conditions;
 use crate::rules::algorithm::Report;
 
@@ -62,11 +62,8 @@ impl Influence {
     /// Exact information between an agent's actions and the others', by all agents' behaviour policies.
     pub(super) fn exact(agent: usize, experience: &[Experience]) -> Self {
         let size = experience[agent].signal_size();
-        let mut others = vec![0.0; size * size];
-        for (_, other) in experience.iter().enumerate().filter(|(index, _)| *index != agent) {
-            let precision = signal_precision(&other.behaviour.loading, size);
-            others.iter_mut().zip(precision).for_each(|(sum, one)| *sum += one);
-        }
+        let loadings = experience.iter().map(|own| own.behaviour.loading.as_slice());
+        let others = others_precision(agent, &loadings.collect::<Vec<_>>(), size);
         let (information, _) =
             exact_information(&experience[agent].behaviour.loading, &others, size);
         Self { others_precision: Some(others), mi_estimate: Some(information), ..Self::default() }
