@@ -8,6 +8,7 @@ pub(crate) mod count;
 pub(crate) mod exact;
 pub(crate) mod posterior;
 pub(crate) mod second_head;
+pub(crate) mod whole_action;
 
 use crate::distribution::HeadRows;
 use crate::shape::assert_shape;

@@ -7,7 +7,7 @@ use libm::log;
 
 /// `sum_d r_d r_d^T / (1 - |r_d|^2)`, `[K, K]`: the precision that the actions with these loadings `[act, K]` add to that of
 /// the signal, which is 1.
-fn signal_precision(loading: &[f64], size: usize) -> Vec<f64> {
+pub(super) fn signal_precision(loading: &[f64], size: usize) -> Vec<f64> {
     let mut sum = vec![0.0; size * size];
     for r in loading.chunks_exact(size) {
         let rest = 1.0 - square(r);
@@ -51,10 +51,15 @@ pub(crate) fn exact_information(loading: &[f64], others: &[f64], size: usize) ->
     (0.5 * (log_own + log_others - log_all), gradient)
 }
 
-/// Logarithm of the determinant, and inverse, of `1 + m`, `[K, K]`, by Gauss-Jordan elimination. `1 + m` is symmetric with
-/// eigenvalues of at least 1, so no pivot is small.
-fn of_one_plus(mut m: Vec<f64>, size: usize) -> (f64, Vec<f64>) {
+/// Logarithm of the determinant, and inverse, of `1 + m`, `[K, K]`.
+pub(super) fn of_one_plus(mut m: Vec<f64>, size: usize) -> (f64, Vec<f64>) {
     (0..size).for_each(|k| m[k * size + k] += 1.0);
+    log_determinant_and_inverse(m, size)
+}
+
+/// Logarithm of the determinant, and inverse, of `m`, `[size, size]`, by Gauss-Jordan elimination. A symmetric matrix with
+/// eigenvalues above 0 needs no exchange of rows.
+pub(super) fn log_determinant_and_inverse(mut m: Vec<f64>, size: usize) -> (f64, Vec<f64>) {
     let mut log_determinant = 0.0;
     for pivot in 0..size {
         let diagonal = m[pivot * size + pivot];
@@ -71,7 +76,7 @@ fn of_one_plus(mut m: Vec<f64>, size: usize) -> (f64, Vec<f64>) {
 }
 
 /// `|r|^2`
-fn square(r: &[f64]) -> f64 {
+pub(super) fn square(r: &[f64]) -> f64 {
     r.iter().map(|r| r * r).sum()
 }
 

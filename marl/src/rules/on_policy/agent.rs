@@ -17,6 +17,7 @@ use crate::error::MarlError;
 use crate::influence::mutual_information;
 use crate::influence::posterior::{Posterior, PosteriorShape};
 use crate::influence::second_head::SecondHead;
+use crate::influence::whole_action::{policy_log_prob, posterior_log_prob};
 use crate::objective::actor_loss::Coefficients;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::optimisation::shards::{self, shards};
@@ -189,29 +190,36 @@ impl Agent {
         let all: Vec<usize> = (0..layout.rows()).collect();
         let action = &experience.sequences.action;
         let data = experience.conditions();
-        let (conditional, holdout, fitted, skipped) = match (&mut self.posterior, &self.second_head)
-        {
-            (Some(posterior), _) => {
-                let (holdout, trained): (Vec<usize>, Vec<usize>) =
-                    all.iter().copied().partition(held_out);
-                let likelihood = posterior.fit(&data, &trained, &holdout, (seed, draw))?;
-                (
-                    posterior.conditional(&data, &all)?,
-                    holdout,
-                    Some(likelihood),
-                    posterior.skipped(),
-                )
-            }
-            (None, Some(second)) => (second.conditional(&data)?, all, None, 0),
-            (None, None) => return Ok(Influence::default()),
-        };
+        let (conditional, [holdout, trained], fitted, skipped) =
+            match (&mut self.posterior, &self.second_head) {
+                (Some(posterior), _) => {
+                    let (holdout, trained): (Vec<usize>, Vec<usize>) =
+                        all.iter().copied().partition(held_out);
+                    let likelihood = posterior.fit(&data, &trained, &holdout, (seed, draw))?;
+                    (
+                        posterior.conditional(&data, &all)?,
+                        [holdout, trained],
+                        Some(likelihood),
+                        posterior.skipped(),
+                    )
+                }
+                (None, Some(second)) => (second.conditional(&data)?, [all, Vec::new()], None, 0),
+                (None, None) => return Ok(Influence::default()),
+            };
         let found = || mean(&conditional.log_prob(action, &holdout));
         let log_likelihood = fitted.unwrap_or_else(found);
-        let log_p = experience.behaviour.log_prob(action, &holdout);
-        let log_q = conditional.log_prob(action, &holdout);
+        let behaviour = &experience.behaviour;
+        let (log_p, log_q) = if behaviour.loading.is_empty() || behaviour.action_size() == 1 {
+            (behaviour.log_prob(action, &holdout), conditional.log_prob(action, &holdout))
+        } else {
+            (
+                policy_log_prob(behaviour, action, &holdout),
+                posterior_log_prob(&conditional, action, &trained, &holdout),
+            )
+        };
         let mi_estimate = mutual_information(&log_q, &log_p);
         let held_out = mi_estimate.map(|_| (-mean(&log_q), -mean(&log_p)));
-        let divergence = mean(&conditional.kl_divergences(&experience.behaviour));
+        let divergence = mean(&conditional.kl_divergences(behaviour));
         Ok(Influence {
             conditional: Some(conditional),
             others_precision: None,

@@ -29,8 +29,13 @@ fn config(estimator: Estimator) -> TrainingConfig {
     config
 }
 
-/// Two agents with one action each, whose noise has this correlation with the signal; 0: learnt.
+/// Two agents with one action number each, whose noise has this correlation with the signal; 0: learnt.
 fn pair(config: &TrainingConfig, loading: f32) -> Vec<Agent> {
+    pair_of(config, loading, 1)
+}
+
+/// Two agents with actions of this size.
+fn pair_of(config: &TrainingConfig, loading: f32, action: usize) -> Vec<Agent> {
     let policy = PolicyConfig {
         core: CoreKind::Mlp,
         width: 8,
@@ -42,7 +47,7 @@ fn pair(config: &TrainingConfig, loading: f32) -> Vec<Agent> {
     };
     let shape = AgentShape {
         observation: 2,
-        action: 1,
+        action,
         action_range: (-1.0, 1.0),
         kind: ActionKind::Continuous,
         surprise_features: vec![0, 1],
@@ -66,15 +71,16 @@ fn played(agents: &[Agent]) -> Batch {
     for (index, agent) in agents.iter().enumerate() {
         let (policy, data) = (agent.policy().unwrap(), &mut batch.agents[index]);
         for row in 0..ROWS {
-            let (mut output, mut action) = ([0.0], [0.0]);
+            let actions = policy.action_size();
+            let (mut output, mut action) = (vec![0.0; actions], vec![0.0; actions]);
             policy.forward(1, &[1.0, -0.5], &mut [], &mut output, &mut Scratch::default());
             let (step, environment) = ((row / ENVIRONMENTS) as u32, (row % ENVIRONMENTS) as u32);
             let key = Draw::of_action(ITERATION, environment, step, index as u32);
             policy.add_shared_noise(SEED, key, &mut output);
             policy.draw(&output, &mut generator(SEED, key), &mut action);
             data.observation.extend([1.0, -0.5]);
-            data.action.extend(action);
             data.log_prob.push(policy.log_prob(&output, &action));
+            data.action.extend(action);
         }
     }
     batch
@@ -140,6 +146,21 @@ fn a_learnt_posterior_estimates_the_exact_information_to_a_twentieth_of_a_nat() 
     let fitted = fit_posteriors(&mut agents, &experience, SEED, ITERATION).unwrap();
     let estimate = fitted[0].mi_estimate.unwrap();
     assert!((estimate - exact).abs() < 0.05, "{estimate}, exact {exact}");
+}
+
+#[test]
+fn the_estimate_for_actions_of_several_numbers_is_that_of_the_whole_action() {
+    let mut agents = pair_of(&config(Estimator::VariationalKl), 0.72, 3);
+    let batch = played(&agents);
+    let experience = gathered(&agents, &batch, ITERATION);
+    let exact = Influence::exact(0, &experience).mi_estimate.unwrap();
+    // P = 3 x 0.5184 / 0.4816 for each agent: log(1 + P) - 1/2 log(1 + 2 P)
+    assert!((exact - 0.437_3).abs() < 1e-3, "{exact}");
+    let fitted = fit_posteriors(&mut agents, &experience, SEED, ITERATION).unwrap();
+    let estimate = fitted[0].mi_estimate.unwrap();
+    assert!((estimate - exact).abs() < 0.05, "{estimate}, exact {exact}");
+    let (posterior, policy) = fitted[0].held_out.unwrap();
+    assert!((policy - posterior - estimate).abs() < 1e-9);
 }
 
 #[test]
