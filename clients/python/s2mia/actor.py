@@ -14,13 +14,14 @@ from typing import Any, Protocol
 import grpc
 import numpy as np
 
-from s2mia import wire
+from s2mia import shared_noise, wire
 from s2mia.arguments import Parser
 from s2mia.connection import CallError, Tls
 from s2mia.cue import KIND, Cue
 from s2mia.learner import Learner
 from s2mia.name import printable
-from s2mia.policy import Floats, Policy
+from s2mia.policy import Policy
+from s2mia.shared_noise import Floats
 
 
 class Environment(Protocol):
@@ -52,7 +53,8 @@ class Slot:
     def __init__(
         self, run: Any, work: Any, policy: Policy, make: Callable[[], Environment], rng: np.random.Generator
     ) -> None:
-        self.run, self.policy, self.rng = run, policy, rng
+        self.run, self.work, self.policy, self.rng = run, work, policy, rng
+        self.indices = [start.environment for start in work.environments]
         self.environments = [make() for _ in work.environments]
         self.episodes = [0] * len(self.environments)
         count = len(self.environments)
@@ -108,12 +110,14 @@ class Slot:
         """Observes, acts, steps, and resets ended episodes."""
         seen = [environment.observe() for environment in self.environments]
         rows["state"].append(np.stack([state for state, _ in seen]))
+        signal = self.policy.signal(self.run.seed, shared_noise.TRAINING, self.work.iteration, self.indices, step)
         drawn = []
         for index, (agent, collected) in enumerate(zip(self.policy.agents, agents, strict=True)):
             if step % self.run.hidden_every == 0:
                 collected["hidden"].append(self.hidden[index].copy())
             observation = np.stack([observations[index] for _, observations in seen]).astype(np.float32)
             output, self.hidden[index] = agent.forward(observation, self.hidden[index])
+            output = agent.shifted(output, signal)
             action = agent.draw(output, self.rng)
             collected["observation"].append(observation)
             collected["action"].append(action)
@@ -163,10 +167,12 @@ def evaluate(run: Any, work: Any, policy: Policy, environment: Environment, rng:
     total, steps, ended = 0.0, 0, False
     while not ended:
         _, observations = environment.observe()
+        signal = policy.signal((run.seed + work.episode) % 2**64, shared_noise.SAMPLED, 0, [0], steps)
         actions = []
         for index, agent in enumerate(policy.agents):
             output, hidden[index] = agent.forward(observations[index][None], hidden[index])
-            actions.append((agent.draw(output, rng) if run.sampled_evaluations else agent.mode(output))[0])
+            sampled = run.sampled_evaluations
+            actions.append((agent.draw(agent.shifted(output, signal), rng) if sampled else agent.mode(output))[0])
         reward, terminated, truncated = environment.step(actions)
         total, steps, ended = total + float(reward), steps + 1, terminated or truncated
     return wire.EvaluationResult(episode=work.episode, extrinsic_return=total, steps=steps)

@@ -7,19 +7,20 @@ and then `l` with log sigma = -5 + 3.5 (tanh(l) + 1), or logits.
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from s2mia.shared_noise import Floats, SharedNoise
 
 EPSILON = 1e-5
 # Standardised features are clamped to this many standard deviations.
 LIMIT = 10.0
 # As `policy/src/tanh_gaussian.rs`: from this tanh(u) on, an action is at the edge of its range.
 EDGE = 1 - 2.0**-20
-_DISTRIBUTIONS = ("gaussian", "categorical", "deterministic", "uniform", "tanh_gaussian")
+_DISTRIBUTIONS = ("gaussian", "shared_gaussian", "categorical", "deterministic", "uniform", "tanh_gaussian")
 
 
 def _sigmoid(x: Floats) -> Floats:
@@ -36,14 +37,16 @@ class Network:
         self.spec, self.arrays = spec, arrays
         head = spec.get("head", "gaussian")
         self.distribution, parameters = (head, {}) if isinstance(head, str) else next(iter(head.items()))
-        unknown = self.distribution not in _DISTRIBUTIONS or "noise" in parameters
-        if spec["core"] not in ("gru", "mlp") or unknown:
+        if spec["core"] not in ("gru", "mlp") or self.distribution not in _DISTRIBUTIONS:
             raise ValueError(f"core {spec['core']} with distribution {head} is unknown to this package")
         self.choices: int = parameters.get("choices", 0)
         """Number of choices; 0 if actions are continuous."""
         self._noise_sigma: float = parameters.get("noise_sigma", 0.0)
         self._range = (parameters["low"], parameters["high"]) if "low" in parameters else None
         self.hidden_size: int = spec["hidden"] if spec["core"] == "gru" else 0
+        shared = parameters if self.distribution == "shared_gaussian" else parameters.get("noise")
+        self.noise = shared and SharedNoise(shared, spec["action"], arrays.get("head.loading"))
+        """Noise that all agents share; `None` if each has its own."""
 
     def _linear(self, name: str, x: Floats) -> Floats:
         product: Floats = x @ self.arrays[f"{name}.weight"].T
@@ -95,24 +98,44 @@ class Network:
         return np.asarray(squashed * np.asarray(half, squashed.dtype) + np.asarray(middle, squashed.dtype), np.float32)
 
     def _squashed_gaussian(self, output: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Means and logarithms of standard deviations `[R, act]` before tanh."""
+        """Means and logarithms of standard deviations `[R, act]` before tanh, without a shared signal."""
         mean, deviation = np.split(output.astype(np.float64), 2, axis=-1)
         return mean, -5 + 3.5 * (np.tanh(deviation) + 1)
 
+    def _own_squashed_gaussian(self, output: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As `_squashed_gaussian`, given the shared signal."""
+        mean, log_sigma = self._squashed_gaussian(output)
+        return mean, log_sigma + (np.log(self.noise.own_part.astype(np.float64)) if self.noise else 0.0)
+
+    def shifted(self, output: Floats, signal: Floats) -> Floats:
+        """Outputs `[R, out]` given the signals `[R, K]` that all agents share, for `draw` and `log_prob`."""
+        if not self.noise:
+            return output
+        if self.distribution == "tanh_gaussian":
+            sigma = np.exp(self._squashed_gaussian(output)[1]).astype(np.float32)
+        else:
+            sigma = self._marginal_sigma()
+        moved = output.copy()
+        moved[:, : self.spec["action"]] += sigma * (signal @ self.noise.loadings.T)
+        return moved
+
+    def _marginal_sigma(self) -> Floats:
+        return _sigmoid(self.arrays["head.log_std"]) * np.float32(self.spec["sigma_scale"])
+
     def sigma(self) -> Floats:
-        """Standard deviations `[act]` of the noise of continuous actions that are not squashed."""
-        if self.distribution == "gaussian":
-            return _sigmoid(self.arrays["head.log_std"]) * np.float32(self.spec["sigma_scale"])
+        """Standard deviations `[act]` of the noise of continuous actions that are not squashed, given the shared signal."""
+        if self.distribution in ("gaussian", "shared_gaussian"):
+            return self._marginal_sigma() * (self.noise.own_part if self.noise else np.float32(1))
         return np.full(self.spec["action"], self._noise_sigma, np.float32)
 
     def draw(self, output: Floats, rng: np.random.Generator) -> Floats:
-        """Draws actions `[R, act]` from outputs `[R, out]`."""
+        """Draws actions `[R, act]` from outputs `[R, out]`, those of `shifted` if agents share noise."""
         if self.choices:
             return self.mode(output + rng.gumbel(size=output.shape).astype(np.float32))
         if self._range and self.distribution == "uniform":
             return rng.uniform(*self._range, output.shape).astype(np.float32)
         if self.distribution == "tanh_gaussian":
-            mean, log_sigma = self._squashed_gaussian(output)
+            mean, log_sigma = self._own_squashed_gaussian(output)
             return self._scaled(np.tanh(mean + np.exp(log_sigma) * rng.standard_normal(mean.shape)))
         action = output + self.sigma() * rng.standard_normal(output.shape)
         if self._range:
@@ -129,7 +152,7 @@ class Network:
 
     def _squashed_log_prob(self, output: Floats, action: Floats) -> Floats:
         """An action at the edge of the range has the density of the `u` closest to the mean."""
-        (mean, log_sigma), (half, middle) = self._squashed_gaussian(output), self._half_and_middle()
+        (mean, log_sigma), (half, middle) = self._own_squashed_gaussian(output), self._half_and_middle()
         value = (action.astype(np.float64) - middle) / half
         u = np.arctanh(np.clip(value, -EDGE, EDGE))
         u = np.where(value >= EDGE, np.maximum(u, mean), np.where(value <= -EDGE, np.minimum(u, mean), u))
@@ -168,3 +191,10 @@ class Policy:
             begin, end = entry["data_offsets"]
             own[int(agent)][array] = np.frombuffer(body[begin:end], "<f4").reshape(entry["shape"])
         self.agents = [Network(spec, arrays) for spec, arrays in zip(specs, own, strict=True)]
+
+    def signal(self, seed: int, purpose: int, iteration: int, environments: Sequence[int], step: int) -> Floats:
+        """The signals `[E, K]` that all agents share in a step, as `SharedNoise.signal`; `[E, 0]` if they share none."""
+        noise = self.agents[0].noise if self.agents else None
+        if not noise:
+            return np.zeros((len(environments), 0), np.float32)
+        return noise.signal(seed, purpose, iteration, environments, step)

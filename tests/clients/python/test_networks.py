@@ -7,6 +7,7 @@ from conftest import HASAC, ROBOT, SMALL, s2mia_run
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from s2mia.policy import Policy
+from s2mia.shared_noise import TRAINING
 
 POLICIES = {
     "recurrent": ROBOT,
@@ -14,6 +15,7 @@ POLICIES = {
     "with a layer norm": [*ROBOT, "policy.input_norm=layer_norm", "observation.norm=none"],
     "squashed": [*ROBOT, "algorithm=maddpg"],
     "squashed with own deviations": [*ROBOT, *HASAC],
+    "with shared noise": [*ROBOT, "algorithm=happo-shared"],
     "of choices": [*SMALL, "run.iterations=3", "run.actors=1"],
 }
 
@@ -51,7 +53,7 @@ def test_drawn_actions_have_the_density_that_the_policy_states(run):
             shares = np.bincount(action[:, 0].astype(int), minlength=agent.choices) / rows
             stated = [np.exp(agent.log_prob(output[:1], np.array([[choice]])))[0] for choice in range(agent.choices)]
             assert np.allclose(shares, stated, atol=0.05)
-        elif agent.distribution == "gaussian":
+        elif agent.distribution in ("gaussian", "shared_gaussian"):
             assert np.allclose(action.mean(0), output[0], atol=6 * agent.sigma() / rows**0.5)
             assert np.allclose(action.std(0), agent.sigma(), rtol=0.1)
             entropy = 0.5 + 0.5 * np.log(2 * np.pi) + np.log(agent.sigma()).sum()
@@ -67,24 +69,41 @@ def test_drawn_actions_have_the_density_that_the_policy_states(run):
                 assert abs((density * grid).mean() * 2 - action[:, joint].mean()) < 6 * action[:, joint].std() / rows**0.5
 
 
-@pytest.mark.parametrize("settings", [["policy.core=mlp"], HASAC], ids=["gaussian", "tanh_gaussian"])
+SHARED = ["policy.noise=shared", "policy.noise_hold=3"]
+LOGGED = {
+    "gaussian": ["policy.core=mlp"],
+    "tanh_gaussian": HASAC,
+    "constant loadings": ["policy.core=mlp", *SHARED, "policy.noise_loading=0.7", "policy.noise_decay_steps=1000"],
+    "learnt loadings": ["policy.core=mlp", *SHARED, "policy.noise_size=2"],
+    "learnt loadings before tanh": [*HASAC, *SHARED, "policy.noise_size=2"],
+}
+
+
+@pytest.mark.parametrize("settings", LOGGED.values(), ids=LOGGED)
 def test_logged_training_steps_have_the_log_probabilities_that_numpy_computes(settings, tmp_path):
     logging = [*settings, "log.episodes=all", "checkpoint.every=1"]
     s2mia_run("train", *ROBOT, *logging, f"run.dir={tmp_path / 'run'}")
     team = Policy((tmp_path / "run" / "checkpoints" / "iter_00000001" / "policy.safetensors").read_bytes())
-    version, compared = None, 0
+    share, rows, compared = None, [], 0
     [log] = sorted((tmp_path / "run" / "logs").glob("trajectories-*.mcap"))
     with log.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
             if channel.topic == "/share":
-                version = message.weights_version if message.kind == 1 else None
-            elif channel.topic.startswith("/agents/") and version == 1:
-                agent = team.agents[int(channel.topic.removeprefix("/agents/"))]
-                output, _ = agent.forward(np.array([message.observation], np.float32), np.zeros((1, 0), np.float32))
-                stated = agent.log_prob(output, np.array([message.action], np.float32))
-                assert abs(stated[0] - message.log_prob) < 5e-5
-                compared += 1
+                share = message if message.kind == 1 and message.weights_version == 1 else None
+            elif channel.topic.startswith("/agents/") and share:
+                rows.append((team.agents[int(channel.topic.removeprefix("/agents/"))], message))
+            elif channel.topic == "/step" and share:
+                key = share.iteration, [share.environment], message.step - share.first_step
+                signal = team.signal(share.seed, TRAINING, *key)
+                assert np.abs(signal[0] - np.array(message.signal)).max(initial=0) < 1e-5
+                for agent, row in rows:
+                    observation, action = (np.array([x], np.float32) for x in (row.observation, row.action))
+                    output, _ = agent.forward(observation, np.zeros((1, 0), np.float32))
+                    stated = agent.log_prob(agent.shifted(output, signal), action)
+                    assert abs(stated[0] - row.log_prob) < 5e-5
+                    compared += 1
+                rows.clear()
     assert compared == 4 * 20 * len(team.agents)
 
 
