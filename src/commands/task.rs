@@ -174,6 +174,9 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
         ));
     }
     output::line(trial.summary());
+    for warning in trial.constant_terms(&world.description().reward_terms) {
+        output::line(format!("warning: {warning}"));
+    }
     let why = "the simulation is unstable, or has more than 2,000 contacts or 100,000 close pairs of shapes at a time: \
         shorten the model's timestep, or let fewer shapes touch";
     anyhow::ensure!(trial.faults == 0, why);

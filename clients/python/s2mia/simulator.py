@@ -183,7 +183,7 @@ class OneEnvironment:
         self.is_running = not (terminated[0] or truncated[0])
         observations = np.frombuffer(seen, np.float32)
         info: dict[str, Any] = {"fault": True} if fault[0] else {}
-        if self.task.joints:
+        if self.task.reward_terms or self.task.joints:
             info["reward_terms"] = dict(zip(self.task.reward_terms, np.frombuffer(terms, np.float32).tolist(), strict=True))
             info["efforts"] = dict(zip(self.task.joints, np.frombuffer(efforts, np.float32).tolist(), strict=True))
         return observations, _REWARD.unpack(reward)[0], bool(terminated[0]), bool(truncated[0]), info

@@ -101,7 +101,7 @@ class VectorSimulator(VectorEnv[Numbers, Any, NDArray[Any]]):
 
     def _infos(self, terms: bytearray, efforts: bytearray) -> dict[str, Any]:
         """Terms of the rewards and efforts, in which a game has none."""
-        if not self.task.joints:
+        if not (self.task.reward_terms or self.task.joints):
             return {}
 
         def by_name(names: list[str], rows: bytearray) -> dict[str, Numbers]:

@@ -25,6 +25,8 @@ pub(super) struct Trial {
     total: f64,
     terminated: u32,
     pub(super) faults: u32,
+    /// Smallest and largest value of each term of the reward in a step.
+    terms: Vec<(f32, f32)>,
     /// Largest velocity, m/s or rad/s, and its name; `None` if nothing has moved.
     fastest: Option<(f32, String)>,
     /// The shapes of the first episode; `None` for a game.
@@ -74,6 +76,7 @@ impl Trial {
             self.steps += 1;
             self.total += f64::from(outcome[0].reward);
             demand_moderate(world, outcome[0].reward)?;
+            self.note_terms(world.reward_terms(0));
             self.note_speed(world);
             if outcome[0].is_end() {
                 break;
@@ -86,6 +89,28 @@ impl Trial {
         self.terminated += u32::from(outcome[0].terminated);
         self.faults += u32::from(outcome[0].fault);
         Ok(())
+    }
+
+    fn note_terms(&mut self, values: &[f32]) {
+        self.terms.resize(values.len(), (f32::INFINITY, f32::NEG_INFINITY));
+        for (range, value) in self.terms.iter_mut().zip(values) {
+            *range = (range.0.min(*value), range.1.max(*value));
+        }
+    }
+
+    /// Warnings about the terms of the reward, named `names`, that were the same in every step. That `alive` is, is its purpose.
+    pub(super) fn constant_terms(&self, names: &[String]) -> Vec<String> {
+        let is_constant = |(name, (low, high)): &(&String, &(f32, f32))| {
+            low == high && self.steps > 1 && name.split('_').next() != Some("alive")
+        };
+        let terms = names.iter().zip(&self.terms).filter(is_constant);
+        let line = |(name, (value, _)): (&String, &(f32, f32))| {
+            format!(
+                "the reward's term `{name}` was {value} in every step of random actions; agents learn from it only if other \
+                 actions change it"
+            )
+        };
+        terms.map(line).collect()
     }
 
     fn note_speed(&mut self, world: &dyn EnvironmentBatch) {
@@ -158,6 +183,19 @@ fn random_action(world: &dyn EnvironmentBatch, episode: u32, step: u32) -> Vec<f
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn terms_that_are_the_same_in_every_step_are_named_but_for_alive() {
+        let names = ["forward_speed", "alive", "alive_2", "in_range"].map(str::to_owned);
+        let mut trial = Trial::default();
+        for (steps, speed) in [(1, 0.5), (2, 0.75)] {
+            trial.note_terms(&[speed, 1.0, 2.0, 0.0]);
+            trial.steps = steps;
+            let found = trial.constant_terms(&names);
+            assert_eq!(found.len(), steps as usize - 1, "{found:?}");
+            assert!(found.iter().all(|line| line.contains("`in_range` was 0 in every step")));
+        }
+    }
 
     #[test]
     fn episodes_stop_in_a_step_after_which_the_time_is_over() {
