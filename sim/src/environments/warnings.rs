@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::robot::{JointPlan, Robot};
+use crate::robot::{HingeMap, JointPlan, Robot};
 use crate::task::Rules;
 use crate::world::World;
 
@@ -11,6 +11,9 @@ use crate::world::World;
 const SMALLEST_DEPTH: f32 = 1e-3;
 /// Distance of a start from a joint's limits that is worth a warning, rad or m.
 const SMALLEST_EXCESS: f32 = 1e-3;
+/// Widths of a driven hinge's range that suggest another unit of angles: radians read as degrees, or degrees read as radians.
+const NARROWEST_RAD: f32 = 0.1;
+const WIDEST_RAD: f32 = 4.0 * std::f32::consts::PI;
 /// Most joints or shapes that a warning names.
 const MOST_NAMED: usize = 6;
 
@@ -22,6 +25,7 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules, controls: &[[f32; 2]])
     let mut world = World::new(Arc::clone(robot));
     world.rebuild(&coordinates, &velocities);
     let mut warnings = robot.hard_to_explore(controls);
+    warnings.extend(angles(robot));
     warnings.extend(floor(robot));
     warnings.extend(overlaps(&world));
     warnings.extend(terrain(&world, robot, rules));
@@ -34,6 +38,30 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules, controls: &[[f32; 2]])
         warnings.push(why.to_owned());
     }
     warnings
+}
+
+/// Says which driven hinges have a range that suggests another unit of angles.
+fn angles(robot: &Robot) -> Vec<String> {
+    let about = |hinge: &HingeMap, is_wrong: fn(f32) -> bool| {
+        let [low, high] = hinge.plan.range?;
+        let turns = hinge.units()[0] == "rad" && is_wrong(high - low);
+        turns.then(|| format!("`{}` {low:.3} to {high:.3} rad", hinge.plan.name))
+    };
+    let driven = |index: &usize| {
+        robot.blueprint.motors.iter().any(|motor| motor.moved.only_hinge() == Some(*index))
+    };
+    let sentence = |is_wrong: fn(f32) -> bool, unit: &str| {
+        let driven = (0..robot.layout.hinges.len()).filter(driven);
+        let named = driven.filter_map(|index| about(&robot.layout.hinges[index], is_wrong));
+        listed(&named.collect::<Vec<_>>()).map(|listed| {
+            format!(
+                "ranges of driven joints look like angles in another unit, {listed}: if they are in {unit}s, set `angle=\"{unit}\"` of \
+                 the <compiler>"
+            )
+        })
+    };
+    let narrow = sentence(|width| width < NARROWEST_RAD, "radian");
+    narrow.into_iter().chain(sentence(|width| width > WIDEST_RAD, "degree")).collect()
 }
 
 /// Says whose root is read if several robots have motors.

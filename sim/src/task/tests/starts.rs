@@ -173,6 +173,21 @@ fn a_start_that_cannot_be_meant_is_named() {
     assert!(ghost[0].contains("has no floor that it can touch"), "{ghost:?}");
 }
 
+#[test]
+fn ranges_that_look_like_degrees_for_radians_or_radians_for_degrees_are_named() {
+    let knee = |range: &str| ["name=\"knee\" range=\"-2 0\"", range].map(str::to_owned);
+    for (range, unit) in [("-0.02 0", "radian"), ("-110 0", "degree")] {
+        let [from, to] = knee(&format!("name=\"knee\" range=\"{range}\""));
+        let found = warnings([&from, &to], "");
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(found[0].starts_with("ranges of driven joints look like angles in another unit, `knee` "));
+        assert!(found[0].ends_with(&format!("set `angle=\"{unit}\"` of the <compiler>")), "{found:?}");
+    }
+    // Whole turns, and a joint without a motor, may be meant.
+    let [from, to] = knee("name=\"knee\" range=\"-6 6\"");
+    assert_eq!(warnings([&from, &to], ""), [""; 0]);
+}
+
 /// The shank ends 0.06 m above the floor, and what is added 0.08 m above it.
 #[test]
 fn a_start_inside_a_fixed_shape_or_another_robot_is_named() {
