@@ -180,8 +180,14 @@ fn ranges_that_look_like_degrees_for_radians_or_radians_for_degrees_are_named() 
         let [from, to] = knee(&format!("name=\"knee\" range=\"{range}\""));
         let found = warnings([&from, &to], "");
         assert_eq!(found.len(), 1, "{found:?}");
-        assert!(found[0].starts_with("ranges of driven joints look like angles in another unit, `knee` "));
-        assert!(found[0].ends_with(&format!("set `angle=\"{unit}\"` of the <compiler>")), "{found:?}");
+        assert!(
+            found[0]
+                .starts_with("ranges of driven joints look like angles in another unit, `knee` ")
+        );
+        assert!(
+            found[0].ends_with(&format!("set `angle=\"{unit}\"` of the <compiler>")),
+            "{found:?}"
+        );
     }
     // Whole turns, and a joint without a motor, may be meant.
     let [from, to] = knee("name=\"knee\" range=\"-6 6\"");
