@@ -2,6 +2,7 @@
 
 pub(super) mod bounds;
 mod classes;
+mod elements;
 mod laws;
 mod parsing;
 

@@ -75,7 +75,7 @@ impl Classes {
         childclass: Option<&str>,
     ) -> Result<Element, String> {
         if let Some(child) = element.children.first() {
-            return Err(child.refuse("this element is not supported; remove it"));
+            return Err(child.refuse_element());
         }
         self.resolve_as(&element.tag, element, childclass)
     }

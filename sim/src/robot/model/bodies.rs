@@ -170,7 +170,7 @@ fn add_part(
             bodies[own].sites.push((name.to_owned(), frame.then(&inside?)));
         }
         tag if SKIPPED.contains(&tag) => {}
-        _ => return Err(child.refuse("this element is not supported; remove it")),
+        _ => return Err(child.refuse_element()),
     }
     Ok(())
 }

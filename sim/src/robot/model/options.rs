@@ -271,12 +271,12 @@ fn check_sections(root: &Element, blockers: &Blockers) {
     }
     for section in &root.children {
         if !SECTIONS.contains(&section.tag.as_str()) {
-            blockers.note(section.refuse("this element is not supported; remove it"));
+            blockers.note(section.refuse_element());
         }
         let known = CHILDREN.iter().find(|(tag, _)| *tag == section.tag);
         let Some((_, known)) = known else { continue };
         for child in section.children.iter().filter(|child| !known.contains(&child.tag.as_str())) {
-            blockers.note(child.refuse("this element is not supported; remove it"));
+            blockers.note(child.refuse_element());
         }
     }
 }

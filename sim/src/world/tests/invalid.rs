@@ -90,3 +90,20 @@ fn the_main_class_has_no_other_name_and_the_world_no_attributes() {
         assert!(reason.contains(&expected) && !reason.contains('\n'), "{reason}");
     }
 }
+
+#[test]
+fn a_misplaced_element_is_told_its_place_and_a_misspelt_one_its_spelling() {
+    for (elements, expected) in [
+        ("<joint/>", "<joint>: this element belongs in a <body>; move it there"),
+        ("<motor joint=\"hip\"/>", "this element belongs in <actuator>; move it there"),
+        ("<goem size=\"1\"/>", "<goem>: this element is unknown; did you mean `geom`?"),
+        ("<flexcomp/>", "<flexcomp>: this element is not supported; remove it"),
+        ("<geom size=\"1\"><material/></geom>", "<material>: this element belongs in <asset>;"),
+    ] {
+        assert_refused("", &format!("{elements}<body><joint/><geom size=\"1\"/></body>"), expected);
+    }
+    let body = "<body><joint name=\"hip\"/><geom size=\"1\"/></body>";
+    let sections = document(body, "").replace("</worldbody>", "</worldbody><actuatr/>");
+    let reason = robot(&sections).err().unwrap();
+    assert!(reason.contains("this element is unknown; did you mean `actuator`?"), "{reason}");
+}
