@@ -48,7 +48,7 @@ pub enum Head {
         low: f32,
         /// Highest action.
         high: f32,
-        /// How agents share a part of the noise, with constant loadings; absent if it is independent.
+        /// How agents share a part of the noise; absent if it is independent.
         #[serde(skip_serializing_if = "Option::is_none")]
         noise: Option<SharedNoise>,
     },

@@ -104,8 +104,8 @@ const TABLE: &[Rule] = &[
     rule(
         Is("influence.estimator", &["exact"]),
         &[Not("policy.noise", "shared")],
-        "independent noise; it must be variational_kl or count, or give policy.noise=shared: the information between \
-         independent actions is 0",
+        "independent noise; give policy.noise=shared, or make it variational_kl or count: the information between independent \
+         actions is 0",
     ),
     rule(
         INFLUENCE,

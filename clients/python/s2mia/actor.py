@@ -167,12 +167,14 @@ def evaluate(run: Any, work: Any, policy: Policy, environment: Environment, rng:
     total, steps, ended = 0.0, 0, False
     while not ended:
         _, observations = environment.observe()
-        signal = policy.signal((run.seed + work.episode) % 2**64, shared_noise.SAMPLED, 0, [0], steps)
         actions = []
         for index, agent in enumerate(policy.agents):
             output, hidden[index] = agent.forward(observations[index][None], hidden[index])
-            sampled = run.sampled_evaluations
-            actions.append((agent.draw(agent.shifted(output, signal), rng) if sampled else agent.mode(output))[0])
+            if run.sampled_evaluations:
+                signal = policy.signal((run.seed + work.episode) % 2**64, shared_noise.SAMPLED, 0, [0], steps)
+                actions.append(agent.draw(agent.shifted(output, signal), rng)[0])
+            else:
+                actions.append(agent.mode(output)[0])
         reward, terminated, truncated = environment.step(actions)
         total, steps, ended = total + float(reward), steps + 1, terminated or truncated
     return wire.EvaluationResult(episode=work.episode, extrinsic_return=total, steps=steps)

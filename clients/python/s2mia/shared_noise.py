@@ -39,10 +39,12 @@ class SharedNoise:
     """One agent's part of the noise that all agents share: loadings `r` `[act, K]` of a signal `z` `[K]`."""
 
     def __init__(self, settings: dict[str, Any], actions: int, u: Floats | None) -> None:
-        """`u` has the parameters `[act, K]` of learnt loadings."""
+        """`u` has the parameters `[act, K]` of learnt loadings. Raises `ValueError` if it is missing."""
         self.size, self._hold = settings["size"], settings["hold"]
         share = np.float32(settings.get("share", 1.0))
         self.loadings: Floats = np.zeros((actions, self.size), np.float32)
+        if u is None and "loading" not in settings:
+            raise ValueError("shared noise with learnt loadings has no array head.loading")
         if u is None:
             rows = np.arange(actions)
             self.loadings[rows, rows % self.size] = share * np.float32(settings["loading"])

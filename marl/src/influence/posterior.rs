@@ -39,7 +39,7 @@ pub(crate) struct PosteriorShape {
 /// A distribution of the policy's kind: the behaviour policy plus a correction. `a^-i` is encoded (Linear, tanh) and
 /// joined with the trunk's features; Linear, tanh and a Linear that starts at 0 give the shift of the logits or the
 /// mean. A Gaussian's sigma is the policy's times `2 sigmoid(c)`, with a parameter `c` that starts at 0. An untrained
-/// posterior is therefore the policy, and every estimate from it is exactly 0.
+/// posterior is therefore the policy with independent noise, and without shared noise every estimate from it is exactly 0.
 pub(crate) struct Posterior {
     config: InfluenceConfig,
     shape: PosteriorShape,

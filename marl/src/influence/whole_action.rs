@@ -1,7 +1,7 @@
 //! Densities of actions of several numbers whose noise is correlated, for estimates of information.
 //!
-//! With noise that agents share, the numbers of one agent's action are correlated: given the observation by the signal, and given
-//! the others' actions by what these leave open of it. Products over the numbers would count the signal once for each of them.
+//! With noise that agents share, the numbers of one agent's action are correlated given the observation, because they have the same
+//! signal. Given the others' actions, too, they are correlated, but less: these actions reveal a part of the signal. Products over the numbers would count the signal once for each of them.
 
 use libm::log;
 
@@ -32,8 +32,8 @@ pub(crate) fn policy_log_prob(p: &HeadRows, action: &[f64], of: &[usize]) -> Vec
     of.iter().map(row).collect()
 }
 
-/// `log q(a)` of the rows `of`, nats, under the posterior `q` with the covariance of its deviations in the rows `trained`, to which one
-/// row of its own is added. `action` is `[R, act]`.
+/// `log q(a)` of the rows `of`, nats, under the posterior `q` with the covariance of its errors in the rows `trained`, which counts one
+/// more row with the covariance of `q`, so that it has an inverse. `action` is `[R, act]`.
 pub(crate) fn posterior_log_prob(
     q: &HeadRows,
     action: &[f64],

@@ -206,7 +206,7 @@ impl Hasac {
         input.chunks_exact(width).flat_map(|row| &row[columns.clone()]).copied().collect()
     }
 
-    /// Metrics of an iteration's `updates`, before which the agents' information was `known`.
+    /// Metrics of an iteration's `updates`. `known` is the agents' information before them.
     fn report(
         &self,
         updates: u64,

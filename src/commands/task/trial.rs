@@ -98,7 +98,7 @@ impl Trial {
         }
     }
 
-    /// Warnings about the terms of the reward, named `names`, that were the same in every step. That `alive` is, is its purpose.
+    /// Warnings about the terms of the reward, named `names`, that were the same in every step, but for `alive`.
     pub(super) fn constant_terms(&self, names: &[String]) -> Vec<String> {
         let is_constant = |(name, (low, high)): &(&String, &(f32, f32))| {
             low == high && self.steps > 1 && name.split('_').next() != Some("alive")
@@ -106,8 +106,8 @@ impl Trial {
         let terms = names.iter().zip(&self.terms).filter(is_constant);
         let line = |(name, (value, _)): (&String, &(f32, f32))| {
             format!(
-                "the reward's term `{name}` was {value} in every step of random actions; agents learn from it only if other \
-                 actions change it"
+                "the reward's term `{name}` was {value} in every step of random actions; agents learn from it only if its \
+                 weight is not 0 and other actions change it"
             )
         };
         terms.map(line).collect()

@@ -12,7 +12,9 @@ use crate::store::durable::{self, FileError};
 
 /// What a file holds.
 pub(super) enum Content<'a> {
+    /// These bytes.
     Bytes(&'a [u8]),
+    /// Arrays, as a safetensors file.
     Arrays(Vec<(&'a String, &'a Array)>),
 }
 

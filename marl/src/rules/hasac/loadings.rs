@@ -1,7 +1,8 @@
 //! Learnt loadings of the noise that an agent shares with the others.
 //!
 //! The standard normal noise of an action before tanh is `n = r z + sqrt(1 - |r|^2) eps`, with a signal `z` that all agents' actions
-//! in a state share. An agent's own distribution does not depend on `r`; the value of joint actions does.
+//! in a state share. The distribution of each action number alone does not depend on `r`; the value of joint actions does. Entropies
+//! are sums over action numbers, as of HAPPO's Gaussians, so they do not depend on `r` either.
 
 use libm::sqrt;
 use policy::SharedNoise;

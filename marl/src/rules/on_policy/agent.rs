@@ -203,7 +203,7 @@ impl Agent {
                         posterior.skipped(),
                     )
                 }
-                (None, Some(second)) => (second.conditional(&data)?, [all, Vec::new()], None, 0),
+                (None, Some(second)) => (second.conditional(&data)?, [all.clone(), all], None, 0),
                 (None, None) => return Ok(Influence::default()),
             };
         let found = || mean(&conditional.log_prob(action, &holdout));

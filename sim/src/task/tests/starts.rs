@@ -189,7 +189,7 @@ fn ranges_that_look_like_degrees_for_radians_or_radians_for_degrees_are_named() 
             "{found:?}"
         );
     }
-    // Whole turns, and a joint without a motor, may be meant.
+    // Whole turns may be meant.
     let [from, to] = knee("name=\"knee\" range=\"-6 6\"");
     assert_eq!(warnings([&from, &to], ""), [""; 0]);
 }

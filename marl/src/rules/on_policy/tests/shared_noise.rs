@@ -161,6 +161,13 @@ fn the_estimate_for_actions_of_several_numbers_is_that_of_the_whole_action() {
     assert!((estimate - exact).abs() < 0.05, "{estimate}, exact {exact}");
     let (posterior, policy) = fitted[0].held_out.unwrap();
     assert!((policy - posterior - estimate).abs() < 1e-9);
+    // A second head that has learnt nothing.
+    let mut literal = config(Estimator::VariationalKl);
+    literal.influence.q_training = crate::config::QTraining::Shared;
+    let mut agents = pair_of(&literal, 0.72, 3);
+    let fitted = fit_posteriors(&mut agents, &experience, SEED, ITERATION).unwrap();
+    let estimate = fitted[0].mi_estimate.unwrap();
+    assert!(estimate.abs() < 0.05, "{estimate}");
 }
 
 #[test]
