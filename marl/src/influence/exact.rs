@@ -76,7 +76,7 @@ pub(super) fn log_determinant_and_inverse(mut m: Vec<f64>, size: usize) -> (f64,
 }
 
 /// `|r|^2`
-pub(super) fn square(r: &[f64]) -> f64 {
+pub(crate) fn square(r: &[f64]) -> f64 {
     r.iter().map(|r| r * r).sum()
 }
 

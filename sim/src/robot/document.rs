@@ -13,6 +13,7 @@ use std::rc::Rc;
 use crate::spelling;
 
 pub(in crate::robot) use classes::Classes;
+pub(in crate::robot) use elements::SECTIONS;
 
 /// An element with its attributes, without text.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use policy::randomness::standard_normal;
 use rand::RngCore;
 
 use crate::error::MarlError;
-use crate::influence::exact::exact_information;
+use crate::influence::exact::{exact_information, square};
 use crate::optimisation::gradient::Gradients;
 use crate::optimisation::optimizer::{Adam, AdamConfig};
 use crate::state::{Visitor, visit_parameters};
@@ -143,11 +143,6 @@ fn loading_gradient(
 /// `r z`
 fn shared(r: &[f64], z: &[f32]) -> f64 {
     r.iter().zip(z).map(|(r, &z)| r * f64::from(z)).sum()
-}
-
-/// `|r|^2`
-fn square(r: &[f64]) -> f64 {
-    r.iter().map(|r| r * r).sum()
 }
 
 #[cfg(test)]

@@ -3,28 +3,28 @@
 use super::Element;
 use crate::spelling;
 
+/// Sections of a model that are read, or have no effect on the motion.
+pub(in crate::robot) const SECTIONS: [&str; 15] = [
+    "compiler",
+    "option",
+    "size",
+    "statistic",
+    "visual",
+    "custom",
+    "default",
+    "asset",
+    "worldbody",
+    "actuator",
+    "contact",
+    "equality",
+    "tendon",
+    "sensor",
+    "keyframe",
+];
+
 /// Elements with the place that they have in a model.
 const PLACES: [(&str, &[&str]); 9] = [
-    (
-        "<mujoco>",
-        &[
-            "compiler",
-            "option",
-            "size",
-            "statistic",
-            "visual",
-            "custom",
-            "default",
-            "asset",
-            "worldbody",
-            "actuator",
-            "contact",
-            "equality",
-            "tendon",
-            "sensor",
-            "keyframe",
-        ],
-    ),
+    ("<mujoco>", &SECTIONS),
     ("the <worldbody> or a <body>", &["body", "geom", "site", "frame", "camera", "light"]),
     ("a <body>", &["joint", "freejoint", "inertial"]),
     ("<asset>", &["mesh", "hfield", "texture", "material"]),

@@ -3,31 +3,13 @@
 use rapier3d::math::Vector;
 
 use super::super::blueprint::{Cone, ContactRules};
-use super::super::document::{Element, check_names};
+use super::super::document::{Element, SECTIONS, check_names};
 use super::super::fluid::Fluid;
 use super::super::frame::{Angles, vector};
 use super::super::softness::{ImplicitForces, Integration};
 use super::super::surface::ContactOverride;
 use super::blockers::Blockers;
 
-/// Sections of a document that are read, or have no effect on the motion.
-const SECTIONS: [&str; 15] = [
-    "compiler",
-    "option",
-    "size",
-    "statistic",
-    "visual",
-    "custom",
-    "default",
-    "asset",
-    "worldbody",
-    "actuator",
-    "contact",
-    "equality",
-    "tendon",
-    "sensor",
-    "keyframe",
-];
 /// Elements of the sections that are read in part.
 const CHILDREN: [(&str, &[&str]); 4] = [
     ("compiler", &["lengthrange"]),
