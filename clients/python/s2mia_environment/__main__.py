@@ -23,6 +23,8 @@ from s2mia_environment.workers import WorkerLost
 
 # How long calls may take to end when the server stops.
 STOP_SECS = 5.0
+# How often the main thread looks for a signal that did not end its wait.
+POLL_SECS = 0.2
 
 
 def value(text: str):
@@ -90,7 +92,10 @@ def main() -> int:
     signal.signal(signal.SIGTERM, stop)
     host = arguments.listen.rpartition(":")[0]
     print(f"offers {arguments.function} at http://{host}:{port}", flush=True)
-    stopped.wait()
+    # Only the main thread handles a signal, whose wait it does not end if another thread received it or the wait had
+    # not begun.
+    while not stopped.wait(POLL_SECS):
+        pass
     # An environment may never return from a step, for which the end of the server and of this process waits.
     deadline = threading.Timer(STOP_SECS, _end_at_once)
     deadline.daemon = True

@@ -158,8 +158,7 @@ def test_a_signal_stops_an_actor_without_a_traceback(serve, number):
     learner = serve("stopped", [*SMALL, "run.iterations=100000"])
     words = [sys.executable, "-m", "s2mia.actor", learner.url]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    # A shell's background job, as a test run may be, ignores SIGINT, and so would its children.
-    process = subprocess.Popen(words, text=True, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL), **pipes)
+    process = subprocess.Popen(words, text=True, **pipes)
     assert process.stdout.readline().startswith("run stopped, actor ")
     process.send_signal(number)
     assert process.communicate(timeout=60)[1] == "stopped\n"

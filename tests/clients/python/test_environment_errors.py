@@ -1,5 +1,6 @@
 """Environments with faults: one line says what is wrong, and the author's own errors keep their traceback."""
 
+import ctypes
 import os
 import signal
 import socket
@@ -181,6 +182,16 @@ def test_a_signal_ends_the_server_with_status_0_and_without_a_word(number):
     assert played(process) == ["6 answers"]
     process.send_signal(number)
     assert process.communicate(timeout=60)[1] == ""
+    assert process.returncode == 0
+
+
+def test_a_signal_that_another_thread_received_ends_the_server():
+    process = start("faulty_games:Game", "--workers", "1")
+    assert played(process) == ["6 answers"]
+    other = max(map(int, os.listdir(f"/proc/{process.pid}/task")))
+    assert other != process.pid
+    assert ctypes.CDLL(None).tgkill(process.pid, other, signal.SIGTERM) == 0
+    process.communicate(timeout=60)
     assert process.returncode == 0
 
 
