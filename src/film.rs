@@ -22,6 +22,8 @@ pub(crate) struct RobotShapes {
     shapes: Vec<LinkShape>,
     /// What is fixed around it, in the world.
     fixed: Vec<Capsule>,
+    /// Height of the floor in the world, metres.
+    floor: f32,
     /// For each link of a pose, the agent that drives its joint.
     drivers: Vec<Option<usize>>,
     agents: usize,
@@ -34,7 +36,13 @@ impl RobotShapes {
         let drivers = sim::drivers(description, &world.pose(0));
         let simulated = world.world(0)?;
         let (shapes, fixed) = (simulated.robot().shapes(), simulated.fixed_outlines());
-        Some(Self { shapes, fixed, drivers, agents: description.agents.len() })
+        let floor = simulated.floor_height();
+        Some(Self { shapes, fixed, floor, drivers, agents: description.agents.len() })
+    }
+
+    /// A point of the world in coordinates whose origin is on the floor, metres.
+    fn above_floor(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+        [x, y, z - self.floor]
     }
 }
 

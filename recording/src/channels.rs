@@ -14,7 +14,7 @@ use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile, Schema};
 use crate::share::LoggedShare;
 use robot::RobotChannels;
-pub(crate) use scene::DrivenShape;
+pub(crate) use scene::{DrivenShape, Scenery};
 
 /// The channels `/share`, `/agents/I`, `/step` and `/share_end`, and those of a simulated robot.
 pub(crate) struct ShareChannels {
@@ -26,12 +26,11 @@ pub(crate) struct ShareChannels {
 }
 
 impl ShareChannels {
-    /// Creates the channels of the environment that `description` describes. `shapes` are those of its
-    /// robot and of what is fixed around it, empty without one.
+    /// Creates the channels of the environment that `description` describes. `scenery` has its robot, if it has one.
     pub(crate) fn create(
         file: &mut McapFile,
         description: &EnvironmentSpec,
-        shapes: &[DrivenShape],
+        scenery: Option<&Scenery>,
     ) -> Result<Self, RecordError> {
         let mut agents = Vec::new();
         for (index, agent) in description.agents.iter().enumerate() {
@@ -46,10 +45,7 @@ impl ShareChannels {
         let about = [("state", names(&description.state)), ("reward_terms", terms)];
         Ok(Self {
             agents,
-            robot: match shapes {
-                [] => None,
-                shapes => Some(RobotChannels::create(file, shapes)?),
-            },
+            robot: scenery.map(|scenery| RobotChannels::create(file, scenery)).transpose()?,
             share: channel(file, "/share", "Share", &[])?,
             step: channel(file, "/step", "Step", &about)?,
             end: channel(file, "/share_end", "ShareEnd", &[])?,

@@ -69,9 +69,13 @@ impl FilmRecorder {
         }
         self.frames += 1;
         let pose = world.pose(0);
+        let floor = world.world(0).map_or(0.0, World::floor_height);
         let ends = self.capsules.iter().map(|(link, capsule)| {
             let link = link.map(|link| &pose.links[link]);
-            capsule.ends.map(|end| link.map_or(end, |link| link.in_world(end)))
+            capsule.ends.map(|end| {
+                let [x, y, z] = link.map_or(end, |link| link.in_world(end));
+                [x, y, z - floor]
+            })
         });
         self.film.ends.extend(ends.flatten().flatten());
     }

@@ -77,7 +77,7 @@ pub(super) fn capsules(
         .flat_map(|(link, &agent)| {
             let shapes = robot.shapes.iter().filter(|shape| shape.link == link.name);
             shapes.flat_map(|shape| shape.capsules()).map(move |capsule| {
-                let ends = capsule.ends.map(|end| link.in_world(end));
+                let ends = capsule.ends.map(|end| robot.above_floor(link.in_world(end)));
                 let shadow = ends.map(|[x, y, _]| view.plane([x, y, 0.0]));
                 let (radius, depth) = (capsule.radius, ends.map(|end| view.depth(end)));
                 let (ends, depth) = (ends.map(|end| view.plane(end)), (depth[0] + depth[1]) / 2.0);
@@ -92,7 +92,7 @@ pub(super) fn capsules(
 /// What is fixed around a robot. It is painted before the robot, so that it hides nothing, and has no shadow.
 pub(super) fn fixed(robot: &RobotShapes, view: ViewDirection) -> Vec<ProjectedCapsule> {
     let capsules = robot.fixed.iter().map(|capsule| {
-        let ends = capsule.ends.map(|end| view.plane(end));
+        let ends = capsule.ends.map(|end| view.plane(robot.above_floor(end)));
         ProjectedCapsule { ends, shadow: ends, radius: capsule.radius, depth: 0.0, agent: None }
     });
     capsules.collect()

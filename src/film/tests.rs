@@ -43,7 +43,7 @@ fn two_legs() -> (RobotShapes, Pose) {
         joints: vec![joint("hip_left", 1), joint("hip_right", 2)],
     };
     let drivers = vec![None, Some(0), Some(1)];
-    (RobotShapes { shapes, fixed: Vec::new(), drivers, agents: 2 }, pose)
+    (RobotShapes { shapes, fixed: Vec::new(), floor: 0.0, drivers, agents: 2 }, pose)
 }
 
 fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {

@@ -144,7 +144,7 @@ impl RunningTrainer {
         while self.trainer.iteration < self.trainer.launch.until {
             let collected = self.collect()?;
             let Some(collected) = collected else { break };
-            self.enter(Stage::Update);
+            self.emit(&Event::Stage(Stage::Update));
             fail_points::abort_at("after-collect", self.trainer.iteration);
             let batch = assemble(&self.outside.exchange.run, &collected.rollouts);
             self.trainer.environments.advance(&batch, &collected.rollouts);
@@ -299,10 +299,6 @@ impl RunningTrainer {
         let episodes = self.trainer.evaluations.episodes(evaluated.iteration);
         exchange.open_evaluation(evaluated.iteration, version, episodes);
         Ok(())
-    }
-
-    fn enter(&mut self, stage: Stage) {
-        self.emit(&Event::Stage(stage));
     }
 
     fn emit(&mut self, event: &Event) {

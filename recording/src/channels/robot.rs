@@ -4,7 +4,7 @@ use foxglove::messages::{FrameTransform, FrameTransforms, JointState, JointState
 use prost::Message as _;
 use sim::{JointPose, LinkPose, Pose, WORLD};
 
-use super::scene::{self, DrivenShape, quaternion, vector};
+use super::scene::{self, Scenery, quaternion, vector};
 use crate::error::RecordError;
 use crate::mcap_file::{Channel, McapFile};
 
@@ -13,14 +13,14 @@ pub(crate) struct RobotChannels {
     transforms: Channel,
     joints: Channel,
     scene: Channel,
-    shapes: Vec<DrivenShape>,
+    scenery: Scenery,
 }
 
 impl RobotChannels {
-    /// Creates the channels of a robot with these shapes.
-    pub(crate) fn create(file: &mut McapFile, shapes: &[DrivenShape]) -> Result<Self, RecordError> {
+    /// Creates the channels of a robot.
+    pub(crate) fn create(file: &mut McapFile, scenery: &Scenery) -> Result<Self, RecordError> {
         Ok(Self {
-            shapes: shapes.to_vec(),
+            scenery: scenery.clone(),
             transforms: file.foxglove_channel::<FrameTransforms>("/tf")?,
             joints: file.foxglove_channel::<JointStates>("/joint_states")?,
             scene: file.foxglove_channel::<SceneUpdate>("/scene")?,
@@ -29,7 +29,7 @@ impl RobotChannels {
 
     /// Writes the shapes at the start of a share.
     pub(crate) fn scene(&mut self, file: &mut McapFile) -> Result<(), RecordError> {
-        let scene = scene::update(&self.shapes, file.now());
+        let scene = scene::update(&self.scenery, file.now());
         file.write(&mut self.scene, &scene.encode_to_vec())
     }
 

@@ -11,6 +11,14 @@ const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
 const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
 const FLOOR_THICKNESS: f64 = 0.02;
 
+/// A robot and what is fixed around it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Scenery {
+    pub(crate) shapes: Vec<DrivenShape>,
+    /// Height of the floor, metres.
+    pub(crate) floor: f32,
+}
+
 /// A shape, and the agent that drives the joint of its link.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct DrivenShape {
@@ -29,9 +37,10 @@ pub(super) fn quaternion([x, y, z, w]: [f32; 4]) -> Quaternion {
 }
 
 /// Builds a scene with one entity per shape, locked to its link's frame or the world's, in its agent's colour, and the floor.
-pub(super) fn update(shapes: &[DrivenShape], now: Timestamp) -> SceneUpdate {
-    let mut entities = vec![floor(now)];
-    entities.extend(shapes.iter().enumerate().map(|(index, shape)| entity(index, shape, now)));
+pub(super) fn update(scenery: &Scenery, now: Timestamp) -> SceneUpdate {
+    let mut entities = vec![floor(scenery.floor, now)];
+    let shapes = scenery.shapes.iter().enumerate();
+    entities.extend(shapes.map(|(index, shape)| entity(index, shape, now)));
     SceneUpdate { deletions: Vec::new(), entities }
 }
 
@@ -87,9 +96,9 @@ fn triangles((shape, color): Coloured<'_>, hull: &Hull) -> TriangleListPrimitive
     }
 }
 
-fn floor(now: Timestamp) -> SceneEntity {
+fn floor(height: f32, now: Timestamp) -> SceneEntity {
     let (x, y) = FLOOR_SIZE;
-    let below = Vector3 { x: 0.0, y: 0.0, z: -FLOOR_THICKNESS / 2.0 };
+    let below = Vector3 { x: 0.0, y: 0.0, z: f64::from(height) - FLOOR_THICKNESS / 2.0 };
     let cube = CubePrimitive {
         pose: Some(Pose { position: Some(below), orientation: Some(quaternion([0., 0., 0., 1.])) }),
         size: Some(Vector3 { x, y, z: FLOOR_THICKNESS }),
@@ -186,13 +195,15 @@ mod tests {
         let robot = sim::Robot::of_task("halfcheetah-2x3").expect("a task");
         let driven = |shape| DrivenShape { shape, driver: None };
         let shapes: Vec<DrivenShape> = robot.shapes().into_iter().map(driven).collect();
-        let scene = update(&shapes, Timestamp::MIN);
+        let scene = update(&Scenery { shapes, floor: 0.5 }, Timestamp::MIN);
         let (cylinders, spheres): (usize, usize) =
             scene.entities.iter().fold((0, 0), |sum, entity| {
                 (sum.0 + entity.cylinders.len(), sum.1 + entity.spheres.len())
             });
         assert_eq!((cylinders, spheres), (8, 16));
-        assert!(scene.entities.iter().any(|entity| entity.id == "floor"));
+        let floor = scene.entities.iter().find(|entity| entity.id == "floor").expect("a floor");
+        let place = floor.cubes[0].pose.as_ref().and_then(|pose| pose.position);
+        assert_eq!(place.map(|place| place.z), Some(0.49));
     }
 
     #[test]
@@ -200,7 +211,8 @@ mod tests {
         let shape = Shape::Box { half_sizes: [0.5; 3] };
         let (position, quaternion) = ([1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]);
         let wall = LinkShape { link: WORLD.to_owned(), shape, position, quaternion };
-        let scene = update(&[DrivenShape { shape: wall, driver: None }], Timestamp::MIN);
+        let shapes = vec![DrivenShape { shape: wall, driver: None }];
+        let scene = update(&Scenery { shapes, floor: 0.0 }, Timestamp::MIN);
         let wall = &scene.entities[1];
         assert_eq!((wall.frame_id.as_str(), wall.cubes[0].color), ("world", Some(FLOOR)));
     }

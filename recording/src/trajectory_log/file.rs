@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use proto::{EnvironmentSpec, Episodes, RunDescription};
 use sim::{EnvironmentBatch, LinkShape, TaskConfig};
 
-use crate::channels::{DrivenShape, ShareChannels};
+use crate::channels::{DrivenShape, Scenery, ShareChannels};
 use crate::error::RecordError;
 use crate::mcap_file::{McapFile, NANOS_PER_SEC, verify};
 use crate::share::LoggedShare;
@@ -29,8 +29,8 @@ pub(crate) struct Origin {
     settings_toml: String,
     task_settings: String,
     description: EnvironmentSpec,
-    /// Shapes of the robot and of what is fixed around it; empty without one.
-    shapes: Vec<DrivenShape>,
+    /// The simulated robot and what is fixed around it.
+    scenery: Option<Scenery>,
 }
 
 impl Origin {
@@ -58,7 +58,7 @@ impl Origin {
             settings_toml: run.settings_toml.clone(),
             task_settings: run.task_settings.clone(),
             description: run.environment.clone(),
-            shapes: sim::environments(task, 1).map(|world| shapes(&*world)).unwrap_or_default(),
+            scenery: sim::environments(task, 1).ok().and_then(|world| scenery(&*world)),
         }
     }
 
@@ -82,15 +82,15 @@ impl Origin {
             words: metadata.clone().into_iter().chain(words).collect(),
             settings_toml: settings_toml.to_owned(),
             task_settings: task_settings.to_owned(),
-            shapes: shapes(world),
+            scenery: scenery(world),
             description,
         }
     }
 }
 
-/// Shapes of the simulated robot and of what is fixed around it; empty for games and external environments.
-fn shapes(world: &dyn EnvironmentBatch) -> Vec<DrivenShape> {
-    let Some(simulated) = world.world(0) else { return Vec::new() };
+/// The simulated robot and what is fixed around it; `None` for games and external environments.
+fn scenery(world: &dyn EnvironmentBatch) -> Option<Scenery> {
+    let simulated = world.world(0)?;
     let pose = world.pose(0);
     let drivers = sim::drivers(world.description(), &pose);
     let driven = |shape: LinkShape| {
@@ -98,7 +98,8 @@ fn shapes(world: &dyn EnvironmentBatch) -> Vec<DrivenShape> {
         DrivenShape { driver: link.and_then(|link| drivers[link]), shape }
     };
     let shapes = simulated.robot().shapes().into_iter();
-    shapes.chain(simulated.fixed_shapes()).map(driven).collect()
+    let shapes = shapes.chain(simulated.fixed_shapes()).map(driven).collect();
+    Some(Scenery { shapes, floor: simulated.floor_height() })
 }
 
 /// A log file being written.
@@ -123,9 +124,9 @@ impl LogFile {
         file.metadata(METADATA_NAME, &origin.words)?;
         file.attach(SETTINGS_NAME, "application/toml", origin.settings_toml.as_bytes())?;
         file.attach(TASK_NAME, "application/json", origin.task_settings.as_bytes())?;
-        let (description, shapes) = (&origin.description, &origin.shapes);
+        let (description, scenery) = (&origin.description, origin.scenery.as_ref());
         Ok(Self {
-            channels: ShareChannels::create(&mut file, description, shapes)?,
+            channels: ShareChannels::create(&mut file, description, scenery)?,
             dt_nanos: (description.dt_secs * 1e9).round() as u64,
             last: None,
             written: (0, 0),

@@ -12,10 +12,23 @@ use crate::scene::{Capsule, Hull, LinkShape, Shape, WORLD, parts};
 const MOST_ALONG: usize = 24;
 /// Radius of lines, m.
 const LINE: f32 = 0.02;
+/// Smallest height of the normal, of length one, of a level plane.
+const LEVEL: f32 = 0.999;
 /// Largest coordinate and radius of what is drawn, m.
 const FARTHEST: f32 = 1e3;
 
 impl World {
+    /// Height of the floor, m: of the highest level plane, or 0 without one.
+    #[must_use]
+    pub fn floor_height(&self) -> f32 {
+        let levels = self.grounds().filter_map(|(form, pose)| {
+            let is_level =
+                matches!(form, GroundForm::Plane) && (pose.rotation * Vector::Z).z > LEVEL;
+            is_level.then_some(pose.translation.z)
+        });
+        levels.reduce(f32::max).unwrap_or(0.0)
+    }
+
     /// Shapes that are fixed to the world, in its frame, without planes. Height fields are meshes of limited size.
     pub fn fixed_shapes(&self) -> Vec<LinkShape> {
         let grounds = self.grounds().filter_map(|(form, pose)| {
@@ -192,7 +205,11 @@ mod tests {
         <body pos=\"0 0 3\"><freejoint/><geom size=\"0.1\"/></body></worldbody></mujoco>";
 
     fn world() -> World {
-        let model = |_: &str| Ok(WORLD_OF_A_BALL.as_bytes().to_vec());
+        world_of(WORLD_OF_A_BALL)
+    }
+
+    fn world_of(model: &str) -> World {
+        let model = |_: &str| Ok(model.as_bytes().to_vec());
         World::new(Arc::new(Robot::of_model("world.xml", model).unwrap()))
     }
 
@@ -247,6 +264,24 @@ mod tests {
         assert_near(rows[3].as_flattened(), &[0.0, -2.0, 1.0, 1.0, -2.0, 1.2]);
         // And a line along y for each of three columns.
         assert_eq!(outlines.len(), 19);
+    }
+
+    #[test]
+    fn the_floor_is_the_highest_level_plane_at_the_height_of_the_episode() {
+        let height = |planes: &str, rises: &[(usize, f32)]| {
+            let ball = "<body pos=\"0 0 3\"><freejoint/><geom size=\"0.1\"/></body>";
+            let mut world =
+                world_of(&format!("<mujoco><worldbody>{planes}{ball}</worldbody></mujoco>"));
+            world.set_conditions(EpisodeConditions { rises: rises.to_vec(), ..Default::default() });
+            world.floor_height()
+        };
+        let plane = |place: &str| format!("<geom type=\"plane\" size=\"1 1 1\" {place}/>");
+        let table = plane("pos=\"0 0 -0.4\"");
+        let slope = plane("pos=\"0 0 2\" euler=\"0 20 0\"");
+        assert_near(&[height("", &[])], &[0.0]);
+        assert_near(&[height(&table, &[])], &[-0.4]);
+        assert_near(&[height(&table, &[(0, 0.25)])], &[-0.15]);
+        assert_near(&[height(&format!("{}{table}{slope}", plane("pos=\"0 0 -1\"")), &[])], &[-0.4]);
     }
 
     #[test]

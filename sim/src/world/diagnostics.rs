@@ -31,7 +31,7 @@ impl World {
         (weighted / total).to_array()
     }
 
-    /// Height of the robot's lowest point above a floor at z = 0, m; negative for penetration.
+    /// Height of the robot's lowest point above the floor, m; negative for penetration.
     pub fn lowest_point(&self) -> f32 {
         let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         let heights = links.flat_map(|(plan, joint)| {
@@ -49,7 +49,7 @@ impl World {
                 }
             })
         });
-        heights.fold(f32::INFINITY, f32::min)
+        heights.fold(f32::INFINITY, f32::min) - self.floor_height()
     }
 
     /// What links are in that can touch them and is no part of their robot, each with the largest depth, m: the name of a

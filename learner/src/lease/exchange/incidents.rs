@@ -158,16 +158,12 @@ fn each(leases: &[LeaseStatus]) -> String {
 }
 
 fn at(lease: &LeaseStatus) -> String {
-    let LeaseStatus { lease, work, chunks, .. } = lease;
-    match work {
-        LeasedWork::Slot(slot) => {
-            let ending = if *chunks == 1 { "" } else { "s" };
-            format!("at slot {slot} (lease {lease}) after {chunks} chunk{ending}")
-        }
-        LeasedWork::Episode(episode) => {
-            format!("at evaluation episode {episode} (lease {lease})")
-        }
-    }
+    let sent = match (lease.work, lease.chunks) {
+        (LeasedWork::Episode(_), _) => String::new(),
+        (LeasedWork::Slot(_), 1) => " after 1 chunk".to_owned(),
+        (LeasedWork::Slot(_), chunks) => format!(" after {chunks} chunks"),
+    };
+    format!("at {} (lease {}){sent}", work(lease.work), lease.lease)
 }
 
 /// Work in words.

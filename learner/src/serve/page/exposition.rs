@@ -173,11 +173,7 @@ impl Exposition {
         label: &str,
         values: impl IntoIterator<Item = (&'a str, f64)>,
     ) {
-        let name = format!("s2mia_{name}");
-        self.family("gauge", &name, help);
-        for (of, value) in values {
-            self.sample(&format!("{name}{{{label}=\"{}\"}}", escaped(of)), value);
-        }
+        self.labelled(("gauge", ""), (name, help), label, values);
     }
 
     fn counters<'a>(
@@ -187,10 +183,21 @@ impl Exposition {
         label: &str,
         values: impl IntoIterator<Item = (&'a str, u64)>,
     ) {
+        self.labelled(("counter", "_total"), (name, help), label, values);
+    }
+
+    /// A metric with a sample for each value of a label.
+    fn labelled<'a>(
+        &mut self,
+        (kind, suffix): (&str, &str),
+        (name, help): (&str, &str),
+        label: &str,
+        values: impl IntoIterator<Item = (&'a str, impl Display)>,
+    ) {
         let name = format!("s2mia_{name}");
-        self.family("counter", &name, help);
+        self.family(kind, &name, help);
         for (of, value) in values {
-            self.sample(&format!("{name}_total{{{label}=\"{}\"}}", escaped(of)), value);
+            self.sample(&format!("{name}{suffix}{{{label}=\"{}\"}}", escaped(of)), value);
         }
     }
 

@@ -32,7 +32,7 @@ pub(super) struct Collected {
 impl RunningTrainer {
     /// Waits for the rollouts of the open iteration; `None` if the run must stop.
     pub(super) fn collect(&mut self) -> Result<Option<Collected>, LearnerError> {
-        self.enter(Stage::Collect);
+        self.emit(&Event::Stage(Stage::Collect));
         self.progress.begin(Instant::now());
         while !(self.outside.stop)() {
             if let Some(collected) = self.arrived.take() {

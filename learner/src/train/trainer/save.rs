@@ -54,7 +54,7 @@ impl RunningTrainer {
         if let Some(saved) = self.trainer.saved.as_ref().filter(is_current) {
             return Ok(saved.clone());
         }
-        self.enter(Stage::Save);
+        self.emit(&Event::Stage(Stage::Save));
         let begin = Instant::now();
         let storage = self.trainer.flush();
         let saved = self.trainer.save()?;
