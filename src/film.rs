@@ -22,8 +22,8 @@ pub(crate) struct RobotShapes {
     shapes: Vec<LinkShape>,
     /// What is fixed around it, in the world.
     fixed: Vec<Capsule>,
-    /// Height of the floor in the world, metres.
-    floor: f32,
+    /// Height of the floor in the world, metres, if there is one.
+    floor: Option<f32>,
     /// For each link of a pose, the agent that drives its joint.
     drivers: Vec<Option<usize>>,
     agents: usize,
@@ -42,7 +42,7 @@ impl RobotShapes {
 
     /// A point of the world in coordinates whose origin is on the floor, metres.
     fn above_floor(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
-        [x, y, z - self.floor]
+        [x, y, z - self.floor.unwrap_or(0.0)]
     }
 }
 
@@ -62,7 +62,7 @@ fn views(
 ) -> Vec<(Camera, Vec<ProjectedCapsule>)> {
     let shown = |frame: &TimedPose<'_>| {
         let capsules = drawing::capsules(robot, frame.pose, view);
-        (Camera::of(view, &capsules, frame.pose.root()), capsules)
+        (Camera::of((robot, view), &capsules, frame.pose.root()), capsules)
     };
     let mut views: Vec<_> = frames.iter().map(shown).collect();
     let scales = views.iter().map(|(camera, _)| camera.pixels_per_metre);
@@ -119,7 +119,7 @@ fn place(index: u32) -> (u32, u32) {
 pub(crate) fn still(robot: &RobotShapes, rest: &Pose, pose: &Pose) -> Pixmap {
     let [(at_rest, _), (mut camera, capsules)] = [rest, pose].map(|pose| {
         let capsules = drawing::capsules(robot, pose, ViewDirection::Side);
-        (Camera::of(ViewDirection::Side, &capsules, pose.root()), capsules)
+        (Camera::of((robot, ViewDirection::Side), &capsules, pose.root()), capsules)
     });
     camera.pixels_per_metre = camera.pixels_per_metre.min(REST_SCALE * at_rest.pixels_per_metre);
     drawing::panel(&capsules, &camera)

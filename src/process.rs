@@ -60,16 +60,27 @@ pub(crate) fn runtime() -> anyhow::Result<Runtime> {
         .context("cannot start the network threads")
 }
 
+/// Signals within this time are one stop request: `timeout` signals a process and then its group, to which it belongs.
+const REPEATED: Duration = Duration::from_millis(500);
+
 /// Sets `stop` at the first signal, after `announce`; exits at the second. Call inside a runtime.
 pub(crate) fn stop_on_signal(
     stop: watch::Sender<bool>,
     announce: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
-    stop_or_exit(stop, Duration::ZERO, announce, || ())
+    stop_or_exit(stop, REPEATED, announce, || ())
 }
 
-/// The same, but the signals that arrive within `repeated` after the first one are the same stop request, and `clean_up` runs
-/// before the exit.
+/// The same, but `clean_up` runs before the exit.
+pub(crate) fn clean_up_on_signal(
+    stop: watch::Sender<bool>,
+    announce: impl FnOnce() + Send + 'static,
+    clean_up: impl FnOnce() + Send + 'static,
+) -> anyhow::Result<()> {
+    stop_or_exit(stop, REPEATED, announce, clean_up)
+}
+
+/// The same, but the signals that arrive within `repeated` after the first one are the same stop request.
 pub(crate) fn stop_or_exit(
     stop: watch::Sender<bool>,
     repeated: Duration,

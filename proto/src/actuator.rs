@@ -9,12 +9,12 @@ use crate::wire;
 /// With the control `c`, and `q` and `v` for `gear` times the position and speed of what it acts on, the force is
 /// `gain c + constant - kp q - kd v`, within `force_range`. The torque is `gear` times the force, N m; on a slide or tendon a
 /// force, N. An activation takes the place of `c`. A hinge's or slide's position and speed are those that agents observe.
-/// About several axes of a ball joint, `gear` is 1, and `q` and `v` are sums along the model's gear, which is not stated.
+/// About a ball joint's axis, `q` and `v` are sums along `ball_axis`. An actuator on a site has neither `q` nor `v`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ActuatorSpec {
     /// Name of the actuator; that of its joint, unless the model states one or the joint has several.
     pub name: String,
-    /// Joint or tendon that it acts on.
+    /// Joint, tendon or site that it acts on.
     pub joint: String,
     /// The kind of law.
     pub kind: ActuatorKind,
@@ -40,6 +40,16 @@ pub struct ActuatorSpec {
     pub time_constant_secs: Option<f32>,
     /// Range to which the activation is clamped.
     pub activation_range: Option<[f32; 2]>,
+    /// On a ball joint, the axis by which `gear` is multiplied, in axes of the child.
+    pub ball_axis: Option<[f32; 3]>,
+    /// On a site, the link on which it acts.
+    pub link: Option<String>,
+    /// The point at which it acts, in the link's frame, m.
+    pub link_point: Option<[f32; 3]>,
+    /// The force there per unit of `gear` times the force, in axes of the link, N.
+    pub link_force: Option<[f32; 3]>,
+    /// The torque, likewise, N m.
+    pub link_torque: Option<[f32; 3]>,
 }
 
 /// Kind of an actuator's law.
@@ -85,6 +95,7 @@ impl ActuatorSpec {
             Some(ActivationKind::FilterExact) => wire::ActivationKind::Filterexact,
         };
         let range = |[low, high]: [f32; 2]| wire::ControlRange { low, high };
+        let numbers = |vector: Option<[f32; 3]>| vector.map(Vec::from).unwrap_or_default();
         wire::Actuator {
             name: self.name.clone(),
             joint: self.joint.clone(),
@@ -100,6 +111,11 @@ impl ActuatorSpec {
             activation: activation.into(),
             time_constant_secs: self.time_constant_secs,
             activation_range: self.activation_range.map(range),
+            ball_axis: numbers(self.ball_axis),
+            link: self.link.clone().unwrap_or_default(),
+            link_point: numbers(self.link_point),
+            link_force: numbers(self.link_force),
+            link_torque: numbers(self.link_torque),
         }
     }
 }

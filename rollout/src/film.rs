@@ -69,7 +69,7 @@ impl FilmRecorder {
         }
         self.frames += 1;
         let pose = world.pose(0);
-        let floor = world.world(0).map_or(0.0, World::floor_height);
+        let floor = world.world(0).and_then(World::floor_height).unwrap_or(0.0);
         let ends = self.capsules.iter().map(|(link, capsule)| {
             let link = link.map(|link| &pose.links[link]);
             capsule.ends.map(|end| {

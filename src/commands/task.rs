@@ -177,8 +177,8 @@ fn check(arguments: &TaskCheckArguments) -> anyhow::Result<()> {
     for warning in trial.constant_terms(&world.description().reward_terms) {
         output::line(format!("warning: {warning}"));
     }
-    let why = "the simulation is unstable, or has more than 2,000 contacts or 100,000 close pairs of shapes at a time: \
-        shorten the model's timestep, or let fewer shapes touch";
+    let why = "the simulation is unstable, moves faster than 1,000 m/s or rad/s, or has more than 2,000 contacts or 100,000 close \
+        pairs of shapes at a time: shorten the model's timestep, lower the motors' `gear` or `ctrlrange`, or let fewer shapes touch";
     anyhow::ensure!(trial.faults == 0, why);
     Ok(())
 }

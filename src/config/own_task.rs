@@ -80,9 +80,11 @@ impl OwnTask {
         })
     }
 
-    /// Whether `task` is the path of a file, with or without a partition.
+    /// Whether `task` is the path of a file, with or without a partition. A model is refused as one.
     pub(crate) fn is_path(task: &str) -> bool {
-        task.ends_with(".toml") || task.contains(".toml:") || task.contains(std::path::is_separator)
+        [".toml", ".xml"].iter().any(|ending| task.ends_with(ending))
+            || task.contains(".toml:")
+            || task.contains(std::path::is_separator)
     }
 
     fn of_file(path: &Path, partition: Option<&str>) -> Result<Self, ConfigError> {

@@ -45,6 +45,22 @@ pub(crate) struct Resolved {
 }
 
 impl Resolved {
+    /// Refuses a number that is not 0 but would be, or would lose digits, as a 32-bit float.
+    pub(super) fn demand_normal(&self) -> Result<(), ConfigError> {
+        let is_tiny = |entry: &Entry| {
+            let number = entry.value.as_float().map_or(0.0, f64::abs);
+            number > 0.0 && number < f64::from(f32::MIN_POSITIVE)
+        };
+        let Some((key, entry)) = self.entries.iter().find(|(_, entry)| is_tiny(entry)) else {
+            return Ok(());
+        };
+        let detail = format!(
+            "{key} = {:e} is too close to 0; the smallest number above 0 is 1.2e-38",
+            entry.value.as_float().unwrap_or_default()
+        );
+        Err(ConfigError::at(&entry.origin, detail))
+    }
+
     /// The settings of `layers`, of which later ones win; the first one has every key.
     pub(super) fn laid_over(layers: Vec<SettingsLayer>) -> Self {
         let mut resolved = Self { entries: BTreeMap::new(), given: BTreeMap::new() };

@@ -120,9 +120,13 @@ impl RunConfig {
     /// Checks all settings and converts them to the crates' types. An error names the place where the user wrote the setting
     /// that causes it.
     pub(crate) fn build(resolved: Resolved) -> Result<Self, ConfigError> {
+        resolved.demand_normal()?;
         let config = Self::read(message_steps::followed(resolved))?;
-        let ranges = config.validate();
-        ranges.map_err(|error| ConfigError::out_of_range(&config.resolved, &error))?;
+        if let Err(error) = config.validate() {
+            // Another value of a setting without an effect would be refused, too.
+            effect::demand(&RunContext::of(&config, None))?;
+            return Err(ConfigError::out_of_range(&config.resolved, &error));
+        }
         config.demand_suitable(None)?;
         config.demand_terms()?;
         Ok(config)

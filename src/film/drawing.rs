@@ -117,13 +117,20 @@ pub(super) struct Camera {
     pub(super) on: [f32; 2],
     /// Scale.
     pub(super) pixels_per_metre: f32,
+    /// Whether there is a floor to be seen.
+    pub(super) has_floor: bool,
 }
 
 impl Camera {
     /// The camera that follows the root of a robot, at the largest scale at which its capsules fit.
-    pub(super) fn of(view: ViewDirection, capsules: &[ProjectedCapsule], root: &LinkPose) -> Self {
+    pub(super) fn of(
+        (robot, view): (&RobotShapes, ViewDirection),
+        capsules: &[ProjectedCapsule],
+        root: &LinkPose,
+    ) -> Self {
         let [x, y, _] = root.position;
-        let camera = Self { view, on: [x, y], pixels_per_metre: LARGEST };
+        let has_floor = robot.floor.is_some();
+        let camera = Self { view, on: [x, y], pixels_per_metre: LARGEST, has_floor };
         Self { pixels_per_metre: camera.fitting(capsules), ..camera }
     }
 
@@ -199,7 +206,8 @@ pub(super) fn panel(capsules: &[ProjectedCapsule], camera: &Camera) -> Pixmap {
         ViewDirection::Side => horizon(&mut pixmap, camera),
         ViewDirection::Top | ViewDirection::ThreeQuarter => {
             lines(&mut pixmap, camera);
-            capsules.iter().for_each(|capsule| shadow(&mut pixmap, capsule, camera));
+            let shadows = capsules.iter().filter(|_| camera.has_floor);
+            shadows.for_each(|capsule| shadow(&mut pixmap, capsule, camera));
         }
     }
     capsules.iter().for_each(|capsule| draw(&mut pixmap, capsule, camera));
@@ -213,12 +221,14 @@ pub(super) fn mark(pixmap: &mut Pixmap, x: f32, y: f32, agent: usize) {
     rounded(pixmap, [(x, y); 2], 8.0 - EDGE, fill);
 }
 
-/// The floor seen from its side, with a mark at each whole metre.
+/// The floor seen from its side, if there is one, with a mark at each whole metre.
 fn horizon(pixmap: &mut Pixmap, camera: &Camera) {
     fill(pixmap, SKY);
     let top = camera.horizon();
-    rectangle(pixmap, [0.0, top, WIDTH as f32, GROUND as f32], EARTH);
-    rectangle(pixmap, [0.0, top, WIDTH as f32, 2.0], FLOOR);
+    if camera.has_floor {
+        rectangle(pixmap, [0.0, top, WIDTH as f32, GROUND as f32], EARTH);
+        rectangle(pixmap, [0.0, top, WIDTH as f32, 2.0], FLOOR);
+    }
     for (_, x) in camera.metres() {
         rectangle(pixmap, [x - 1.0, top, 2.0, TICK], FLOOR);
     }
@@ -310,7 +320,8 @@ mod tests {
     use super::*;
 
     fn side(x: f32) -> Camera {
-        Camera { view: ViewDirection::Side, on: [x, 7.0], pixels_per_metre: 100.0 }
+        let has_floor = true;
+        Camera { view: ViewDirection::Side, on: [x, 7.0], pixels_per_metre: 100.0, has_floor }
     }
 
     #[test]
@@ -350,7 +361,12 @@ mod tests {
         assert!((wide - 224.0 / 2.8).abs() < 1e-3, "{wide}");
         assert_eq!(side(0.0).fitting(&ball(0.0, 3.9)), 50.0);
         // In the middle of a frame from above, the followed point has room below it, too.
-        let above = Camera { view: ViewDirection::Top, on: [0.0, 0.0], pixels_per_metre: 1.0 };
+        let above = Camera {
+            view: ViewDirection::Top,
+            on: [0.0, 0.0],
+            pixels_per_metre: 1.0,
+            has_floor: true,
+        };
         assert_eq!(above.fitting(&ball(0.0, -1.75)), 60.0);
     }
 }

@@ -87,14 +87,12 @@ const SETTLING_SECS: f64 = 0.5;
 struct Moment {
     /// Where its links are.
     pose: Pose,
-    /// Impulse of the floor in the last physics step, N s.
-    impulse: f32,
-    /// Height of its lowest point over the floor, metres; negative is penetration.
-    lowest: f32,
+    /// Depth of the robots in what is fixed, metres; `None` if they touch nothing.
+    depth: Option<f32>,
     /// Kinetic and potential energy, including springs, joules.
     energy: f64,
-    /// Work of the actuators on hinges and slides during the step, joules.
-    work: f64,
+    /// Work of the actuators during the step, joules; `None` if some do not act on hinges and slides.
+    work: Option<f64>,
 }
 
 impl Moment {
@@ -102,13 +100,7 @@ impl Moment {
     fn of(world: &dyn EnvironmentBatch) -> Self {
         let pose = world.pose(0);
         let world = robot(world);
-        Self {
-            pose,
-            impulse: world.contact_impulse(),
-            lowest: world.lowest_point(),
-            energy: world.mechanical_energy(),
-            work: 0.0,
-        }
+        Self { pose, depth: world.depth_in_ground(), energy: world.mechanical_energy(), work: None }
     }
 
     /// After a step from `before`. The work of an actuator is its mean torque times the turn, which is exact for a motor, whose
@@ -118,8 +110,9 @@ impl Moment {
         let turns = now.pose.joints.iter().zip(&before.pose.joints);
         let turns = turns.map(|(to, from)| to.position - from.position);
         let work = turns.zip(robot(step.world).efforts());
-        let work = work.map(|(turn, effort)| f64::from(effort * turn)).sum();
-        Self { work, ..now }
+        let work: f64 = work.map(|(turn, effort)| f64::from(effort * turn)).sum();
+        let is_known = robot(step.world).robot().drives_only_joints();
+        Self { work: is_known.then_some(work), ..now }
     }
 
     /// Position of the root along x, metres.
@@ -139,14 +132,14 @@ struct Measures {
     /// Distance of the root along x, metres.
     distance: f64,
     secs: f64,
-    /// Share of steps after which nothing touched the floor.
+    /// Share of steps after which the robots touched nothing that is fixed.
     airborne: f64,
     /// Share of steps after which the root's upper side pointed down.
     upside_down: f64,
-    /// Deepest penetration of the floor, metres.
+    /// Deepest penetration of what is fixed, metres.
     deepest: f64,
-    /// Largest rise of energy in a step beyond the actuators' work, after the start, joules.
-    created: f64,
+    /// Largest rise of energy in a step beyond the actuators' work, after the start, joules, if their work is known.
+    created: Option<f64>,
 }
 
 impl Measures {
@@ -161,9 +154,9 @@ impl Measures {
         Self {
             distance: moments[steps.len()].x() - start.x(),
             secs: steps.len() as f64 * dt_secs,
-            airborne: share(&|moment| moment.impulse <= 0.0),
+            airborne: share(&|moment| moment.depth.is_none_or(|depth| depth <= 0.0)),
             upside_down: share(&|moment| is_upside_down(&moment.pose)),
-            deepest: steps.iter().map(|moment| -f64::from(moment.lowest)).fold(0.0, f64::max),
+            deepest: steps.iter().filter_map(|moment| moment.depth).fold(0.0, f32::max).into(),
             created: risen(&moments[settled.min(steps.len())..]),
         }
     }
@@ -174,10 +167,11 @@ fn is_upside_down(pose: &Pose) -> bool {
     sim::rotated(pose.root().quaternion, [0.0, 0.0, 1.0])[2] < 0.0
 }
 
-/// Largest rise of energy in one step beyond the actuators' work, joules.
-fn risen(moments: &[Moment]) -> f64 {
-    let pairs = moments.windows(2);
-    pairs.map(|pair| pair[1].energy - pair[0].energy - pair[1].work).fold(0.0, f64::max)
+/// Largest rise of energy in one step beyond the actuators' work, joules; `None` if that is not known.
+fn risen(moments: &[Moment]) -> Option<f64> {
+    let mut pairs = moments.windows(2);
+    let rise = |pair: &[Moment]| Some(pair[1].energy - pair[0].energy - pair[1].work?);
+    pairs.try_fold(0.0, |most, pair| Some(f64::max(most, rise(pair)?)))
 }
 
 impl fmt::Display for Measures {
@@ -187,8 +181,10 @@ impl fmt::Display for Measures {
         let millimetres = 1000.0 * deepest;
         let (airborne, upside_down) = (100.0 * airborne, 100.0 * upside_down);
         write!(f, "{distance:.2} m in {secs:.2} s, {speed:.2} m/s; in the air {airborne:.0} %, ")?;
-        write!(f, "upside down {upside_down:.0} %, at most {millimetres:.1} mm in the floor, ")?;
-        write!(f, "largest unexplained rise of energy {created:.1} J in a step")
+        write!(f, "upside down {upside_down:.0} %, at most {millimetres:.1} mm in the floor")?;
+        created.map_or(Ok(()), |joules| {
+            write!(f, ", largest unexplained rise of energy {joules:.1} J in a step")
+        })
     }
 }
 
@@ -198,27 +194,27 @@ mod tests {
 
     use super::*;
 
-    fn moment(x: f32, quaternion: [f32; 4], impulse: f32, lowest: f32) -> Moment {
+    fn moment(x: f32, quaternion: [f32; 4], depth: Option<f32>) -> Moment {
         let (name, parent) = ("root".to_owned(), None);
         let root = LinkPose { name, parent, position: [x, 0.0, 1.0], quaternion };
         let pose = Pose { links: vec![root], ..Pose::default() };
-        Moment { pose, impulse, lowest, energy: f64::from(x), work: 0.75 }
+        Moment { pose, depth, energy: f64::from(x), work: Some(0.75) }
     }
 
     #[test]
     fn the_figures_of_four_steps() {
         let (upright, over) = ([0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]);
         let moments = [
-            moment(1.0, upright, 0.0, 0.5),
-            moment(1.5, upright, 2.0, -0.25),
-            moment(2.0, upright, 0.0, 0.1),
-            moment(3.0, over, 2.0, 0.0),
-            moment(4.0, upright, 2.0, 0.0),
+            moment(1.0, upright, None),
+            moment(1.5, upright, Some(0.25)),
+            moment(2.0, upright, Some(-0.1)),
+            moment(3.0, over, Some(0.01)),
+            moment(4.0, upright, Some(0.02)),
         ];
         let measures = Measures::of(&moments, 0.5);
         let (airborne, upside_down) = (0.25, 0.25);
         // Energy rises by half a joule, twice, and by a whole one, twice; the motors bring three quarters.
-        let (deepest, created) = (0.25, 0.25);
+        let (deepest, created) = (0.25, Some(0.25));
         let by_hand =
             Measures { distance: 3.0, secs: 2.0, airborne, upside_down, deepest, created };
         assert_eq!(measures, by_hand);

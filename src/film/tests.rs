@@ -7,7 +7,8 @@ use super::*;
 use crate::config::run_config::RunConfig;
 use crate::figures::style::Rgb;
 
-const SIDE: Camera = Camera { view: ViewDirection::Side, on: [7.0, 0.0], pixels_per_metre: 150.0 };
+const SIDE: Camera =
+    Camera { view: ViewDirection::Side, on: [7.0, 0.0], pixels_per_metre: 150.0, has_floor: true };
 
 const UPRIGHT: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
@@ -43,7 +44,7 @@ fn two_legs() -> (RobotShapes, Pose) {
         joints: vec![joint("hip_left", 1), joint("hip_right", 2)],
     };
     let drivers = vec![None, Some(0), Some(1)];
-    (RobotShapes { shapes, fixed: Vec::new(), floor: 0.0, drivers, agents: 2 }, pose)
+    (RobotShapes { shapes, fixed: Vec::new(), floor: Some(0.0), drivers, agents: 2 }, pose)
 }
 
 fn seen(picture: &Pixmap, camera: &Camera, point: [f32; 2]) -> Rgb {

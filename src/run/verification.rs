@@ -6,7 +6,6 @@ mod lines;
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher as _, RandomState};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use actor::Transport;
 use anyhow::{Context as _, ensure};
@@ -118,9 +117,7 @@ impl<'a> Verifier<'a> {
         let (stop_sender, folder) = (stop.0.clone(), scratch.0.clone());
         let announce = || output::error("stopping");
         let clean_up = move || remove(&folder);
-        runtime.block_on(async {
-            process::stop_or_exit(stop_sender, Duration::ZERO, announce, clean_up)
-        })?;
+        runtime.block_on(async { process::clean_up_on_signal(stop_sender, announce, clean_up) })?;
         Ok(Self { recorded, at, runtime, stop, scratch })
     }
 

@@ -318,6 +318,10 @@ fn a_model_is_read_from_regular_files_inside_its_folder() {
     std::fs::write(&model, "<mujoco/>").unwrap();
     let line = refused(&["task", "check", text(&model)]);
     assert!(line.contains("robot.xml: is a model (XML), not a task file"), "{line}");
+    let mut beside = std::process::Command::new(env!("CARGO_BIN_EXE_s2mia"));
+    beside.current_dir(model.parent().unwrap()).args(["task", "check", "robot.xml"]);
+    let line = String::from_utf8(beside.output().unwrap().stderr).unwrap();
+    assert!(line.contains("robot.xml: is a model (XML), not a task file"), "{line}");
 
     std::fs::remove_file(&mesh).unwrap();
     std::fs::rename(&outside, parts.join("b.stl")).unwrap();

@@ -104,7 +104,10 @@ class Acting(Closing):
         if environments is None:
             self._environments = None
             return
-        which = np.asarray(environments)
+        try:
+            which = np.asarray(environments)
+        except ValueError as error:
+            raise ValueError(f"reset needs a mask of environments or their indices: {error}") from None
         if not which.size:
             return
         # Before the first step, the number of environments is not known.

@@ -29,6 +29,8 @@ INVISIBLE = (
 
 def check(name: str, what: str) -> None:
     """Raises `ValueError`, which begins with `what`, unless the name is one short line that shows all its characters."""
+    if not isinstance(name, str):
+        raise ValueError(f"{what} has the type {type(name).__name__}; it is a text")
     size = len(name.encode())
     hidden = next((character for character in name if _is_invisible(character)), None)
     if not name:

@@ -177,19 +177,29 @@ class Network:
         return np.asarray(terms.sum(-1), np.float32)
 
 
+def _decoded(snapshot: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Floats]]]:
+    """The agents' descriptions and arrays."""
+    length = int.from_bytes(snapshot[:8], "little")
+    header, body = json.loads(snapshot[8 : 8 + length]), snapshot[8 + length :]
+    specs = json.loads(header.pop("__metadata__")["s2mia.policy"])
+    own: list[dict[str, Floats]] = [{} for _ in specs]
+    for name, entry in header.items():
+        agent, array = name.removeprefix("agent_").split(".", 1)
+        begin, end = entry["data_offsets"]
+        own[int(agent)][array] = np.frombuffer(body[begin:end], "<f4").reshape(entry["shape"])
+    return specs, own
+
+
 class Policy:
     """All agents' policies of one version."""
 
     def __init__(self, snapshot: bytes) -> None:
-        """Decodes a snapshot, whose digest has been checked. Raises `ValueError` as `Network`."""
-        length = int.from_bytes(snapshot[:8], "little")
-        header, body = json.loads(snapshot[8 : 8 + length]), snapshot[8 + length :]
-        specs = json.loads(header.pop("__metadata__")["s2mia.policy"])
-        own: list[dict[str, Floats]] = [{} for _ in specs]
-        for name, entry in header.items():
-            agent, array = name.removeprefix("agent_").split(".", 1)
-            begin, end = entry["data_offsets"]
-            own[int(agent)][array] = np.frombuffer(body[begin:end], "<f4").reshape(entry["shape"])
+        """Decodes a snapshot, such as `policy.safetensors` of a checkpoint. Raises `ValueError` as `Network`, and for other bytes."""
+        try:
+            specs, own = _decoded(snapshot)
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            text = "no policies, or damaged ones; policy.safetensors of a checkpoint has them"
+            raise ValueError(f"{text} ({type(error).__name__}: {error})") from None
         self.agents = [Network(spec, arrays) for spec, arrays in zip(specs, own, strict=True)]
 
     def signal(self, seed: int, purpose: int, iteration: int, environments: Sequence[int], step: int) -> Floats:

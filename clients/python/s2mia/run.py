@@ -11,6 +11,7 @@ import tempfile
 from typing import IO, TYPE_CHECKING, Any
 
 from s2mia.error import RunError
+from s2mia.name import printable
 from s2mia.settings import arguments, assignments, text_of
 from s2mia.values import Seed
 
@@ -40,7 +41,7 @@ class Run:
         if not is_run(found):
             missing = next((name for name in (_CONFIG, _MANIFEST) if not (found / name).is_file()), None)
             what = f"it has no {missing}" if missing else "it is a checkpoint without its run"
-            raise RunError(f"{given} is no run: {what}")
+            raise RunError(f"{printable(str(given))} is no run: {what}")
         object.__setattr__(self, "folder", found.absolute())
 
     @property

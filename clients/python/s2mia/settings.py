@@ -21,6 +21,8 @@ def text_of(what: str, value: Any, meaning: str) -> str:
         text = None
     if not isinstance(text, str):
         raise ValueError(f"{what} is {value!r}; it is {meaning}")
+    if "\0" in text:
+        raise ValueError(f"{what} has a null character; it is {meaning}")
     return text
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import queue
 import threading
+import weakref
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,8 @@ class Team(Acting):
         self._turn = threading.Lock()
         self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._requests.put(wire.ActRequest(start=start))
+        # gRPC's thread waits for requests until there is `None`.
+        weakref.finalize(self, self._requests.put, None)
         with self._connection.errors():
             self._answers = self._connection.service.Act(iter(self._requests.get, None))
 
@@ -151,4 +154,9 @@ def _actuator(own: Any) -> Actuator:
         activation=activation if own.activation else None,
         time_constant_secs=own.time_constant_secs if own.HasField("time_constant_secs") else None,
         activation_range=ends("activation_range"),
+        ball_axis=list(own.ball_axis) or None,
+        link=own.link or None,
+        link_point=list(own.link_point) or None,
+        link_force=list(own.link_force) or None,
+        link_torque=list(own.link_torque) or None,
     )

@@ -15,14 +15,14 @@ class Actuator:
 
     With the control `c`, and `q` and `v` for `gear` times the position and speed of the joint, as agents observe them, the force
     is `gain * c + constant - kp * q - kd * v`, within `force_range`. The torque is `gear` times the force, N m; on a slide or
-    tendon a force, N. About several axes of a ball joint, `gear` is 1, and `q` and `v` are sums along the model's gear, which is
-    not stated. `None` is no limit.
+    tendon a force, N. About a ball joint's axis, `q` and `v` are sums along `ball_axis`. An actuator on a site has neither `q` nor
+    `v`. `None` is no limit.
     """
 
     name: str
     """That of its joint, unless the model states one or the joint has several."""
     joint: str
-    """Joint or tendon that it acts on."""
+    """Joint, tendon or site that it acts on."""
     kind: str
     """`motor`: the force depends on the control only; `position`: `kp * (c - q) - kd * v`; `velocity`: `kd * (c - v)`; `general`."""
     control_limits: list[float]
@@ -47,6 +47,16 @@ class Actuator:
     """Of a filter."""
     activation_range: list[float] | None
     """Range to which the activation is clamped."""
+    ball_axis: list[float] | None
+    """On a ball joint, the axis by which `gear` is multiplied, in axes of the child."""
+    link: str | None
+    """On a site, the link on which it acts."""
+    link_point: list[float] | None
+    """The point at which it acts, in the link's frame, m."""
+    link_force: list[float] | None
+    """The force there per unit of `gear` times the force, in axes of the link, N."""
+    link_torque: list[float] | None
+    """The torque, likewise, N m."""
 
 
 @dataclass(frozen=True)

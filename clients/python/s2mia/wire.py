@@ -76,4 +76,4 @@ def array(tensor: Any) -> NDArray[np.float32]:
     """Decodes a tensor of floats. Raises `ValueError` if its type or its size is another."""
     if tensor.data_type != sys.modules[__name__].DATA_TYPE_F32:
         raise ValueError(f"a tensor has the data type {tensor.data_type}, expected 32-bit floats")
-    return np.frombuffer(tensor.data, "<f4").reshape(tensor.shape)
+    return np.frombuffer(tensor.data, "<f4").reshape(tensor.shape).copy()

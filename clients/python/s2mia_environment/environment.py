@@ -38,6 +38,9 @@ class Environment(abc.ABC):
         """Continues from a saved state."""
         raise NotImplementedError
 
+    def close(self) -> None:  # noqa: B027
+        """Frees what it holds outside this process. Called once, at the end of its stream or of the program."""
+
 
 class EnvironmentBatch(abc.ABC):
     """The environments of one stream, `n` of which step together. Each is as deterministic as an `Environment`.
@@ -67,6 +70,9 @@ class EnvironmentBatch(abc.ABC):
     def restore(self, number: int, state: bytes) -> None:
         """Continues from a saved state."""
         raise NotImplementedError
+
+    def close(self) -> None:  # noqa: B027
+        """Frees what the environments hold outside this process. Called once, at the end of their stream or of the program."""
 
 
 class OneByOne(EnvironmentBatch):
@@ -101,6 +107,10 @@ class OneByOne(EnvironmentBatch):
 
     def restore(self, number: int, state: bytes) -> None:
         self._begin(number).restore(state)
+
+    def close(self) -> None:
+        for environment in (*self.spare, *self.environments.values()):
+            environment.close()
 
     def _begin(self, number: int) -> Environment:
         if number not in self.environments:

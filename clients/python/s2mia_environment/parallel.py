@@ -125,6 +125,9 @@ class Parallel(Environment):
             episode_steps=self.episode_steps(),
         )
 
+    def close(self) -> None:
+        self.env.close()
+
     def step_secs(self) -> float:
         """Seconds per step, for display."""
         rate = self.env.metadata.get("render_fps") or 1.0 / STEP_SECS

@@ -1,5 +1,6 @@
 """The service `EnvironmentService`, with separate environments per stream, which worker processes step."""
 
+import atexit
 import re
 import socket
 from collections.abc import Callable, Iterator
@@ -64,6 +65,8 @@ def serve(
     service = Service(Streams(make) if workers == 1 else WorkerStreams(make, workers))
     options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.so_reuseport", 0)]
     server = grpc.server(futures.ThreadPoolExecutor(streams), options=options, maximum_concurrent_rpcs=streams)
+    # After the program's own end of the server, and before the workers are terminated.
+    atexit.register(service.streams.close_all)
     server.add_generic_rpc_handlers((service.handlers(),))
     try:
         port = server.add_insecure_port(listen)

@@ -152,13 +152,28 @@ class Streams:
 
     def close(self, number: int) -> None:
         """Ends the stream and its environments."""
-        del self.streams[number]
+        _close(self.streams.pop(number).batch)
+
+    def close_all(self) -> None:
+        """Ends all streams and environments."""
+        while self.streams:
+            _close(self.streams.popitem()[1].batch)
+        while self.spare:
+            _close(self.spare.pop())
 
     def _made(self) -> EnvironmentBatch:
         try:
             return self.make()
         except _ERRORS as error:
             raise failed(error) from error
+
+
+def _close(batch: EnvironmentBatch) -> None:
+    """Closes environments, which nobody needs any more. Their error is printed."""
+    try:
+        batch.close()
+    except _ERRORS as error:
+        traceback.print_exception(error)
 
 
 def _check_names(spec: "wire.EnvironmentSpec") -> None:

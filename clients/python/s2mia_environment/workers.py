@@ -22,6 +22,8 @@ _ANSWER, _ERROR, _NOTE = b"\0", b"\1", b"\2"
 
 # Seconds for which the failure of one worker waits for the first message of another.
 _START_SECS = 10.0
+# Seconds for which the end of the program waits until a worker has closed its environments.
+_CLOSE_SECS = 3.0
 
 
 class _Kind(enum.IntEnum):
@@ -123,6 +125,13 @@ class WorkerStreams:
         finally:
             self._forget(number)
 
+    def close_all(self) -> None:
+        """Ends all workers, which close their environments."""
+        for worker in self.workers:
+            worker.pipe.close()
+        for worker in self.workers:
+            worker.process.join(timeout=_CLOSE_SECS)
+
     def _forget(self, number: int) -> None:
         with self.lock:
             self.of_stream.pop(number).streams -= 1
@@ -172,9 +181,12 @@ def _work(make: Callable[[], EnvironmentBatch], pipe) -> None:
         except EnvironmentFailed as error:
             pipe.send_bytes(_encoded(error))
             return
-        pipe.send_bytes(_ANSWER + streams.description)
-        while True:
-            pipe.send_bytes(_handled(streams, pipe.recv_bytes()))
+        try:
+            pipe.send_bytes(_ANSWER + streams.description)
+            while True:
+                pipe.send_bytes(_handled(streams, pipe.recv_bytes()))
+        finally:
+            streams.close_all()
     except (EOFError, OSError):
         return
 

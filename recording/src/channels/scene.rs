@@ -15,8 +15,8 @@ const FLOOR_THICKNESS: f64 = 0.02;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Scenery {
     pub(crate) shapes: Vec<DrivenShape>,
-    /// Height of the floor, metres.
-    pub(crate) floor: f32,
+    /// Height of the floor, metres, if there is one.
+    pub(crate) floor: Option<f32>,
 }
 
 /// A shape, and the agent that drives the joint of its link.
@@ -38,8 +38,9 @@ pub(super) fn quaternion([x, y, z, w]: [f32; 4]) -> Quaternion {
 
 /// Builds a scene with one entity per shape, locked to its link's frame or the world's, in its agent's colour, and the floor.
 pub(super) fn update(scenery: &Scenery, now: Timestamp) -> SceneUpdate {
-    let mut entities = vec![floor(scenery.floor, now)];
     let shapes = scenery.shapes.iter().enumerate();
+    let mut entities: Vec<SceneEntity> =
+        scenery.floor.map(|height| floor(height, now)).into_iter().collect();
     entities.extend(shapes.map(|(index, shape)| entity(index, shape, now)));
     SceneUpdate { deletions: Vec::new(), entities }
 }
@@ -195,7 +196,7 @@ mod tests {
         let robot = sim::Robot::of_task("halfcheetah-2x3").expect("a task");
         let driven = |shape| DrivenShape { shape, driver: None };
         let shapes: Vec<DrivenShape> = robot.shapes().into_iter().map(driven).collect();
-        let scene = update(&Scenery { shapes, floor: 0.5 }, Timestamp::MIN);
+        let scene = update(&Scenery { shapes, floor: Some(0.5) }, Timestamp::MIN);
         let (cylinders, spheres): (usize, usize) =
             scene.entities.iter().fold((0, 0), |sum, entity| {
                 (sum.0 + entity.cylinders.len(), sum.1 + entity.spheres.len())
@@ -212,8 +213,8 @@ mod tests {
         let (position, quaternion) = ([1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]);
         let wall = LinkShape { link: WORLD.to_owned(), shape, position, quaternion };
         let shapes = vec![DrivenShape { shape: wall, driver: None }];
-        let scene = update(&Scenery { shapes, floor: 0.0 }, Timestamp::MIN);
-        let wall = &scene.entities[1];
+        let scene = update(&Scenery { shapes, floor: None }, Timestamp::MIN);
+        let wall = &scene.entities[0];
         assert_eq!((wall.frame_id.as_str(), wall.cubes[0].color), ("world", Some(FLOOR)));
     }
 }

@@ -5,6 +5,7 @@ use rapier3d::glamx::DVec3;
 
 use super::Robot;
 use super::blueprint::{MotorPlan, Servo};
+use super::layout::BallMap;
 
 /// An actuator of a robot.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,7 +102,31 @@ impl Robot {
             activation: motor.activation.map(|own| own.kind),
             time_constant_secs: filter.map(|own| own.time_constant_secs),
             activation_range: motor.activation.and_then(|own| own.range),
+            ball_axis: self.ball_axis(motor),
+            link: motor.thrust.map(|thrust| self.blueprint.links[thrust.link].name.clone()),
+            link_point: motor.thrust.map(|thrust| thrust.point.to_array()),
+            link_force: motor.thrust.map(|thrust| thrust.force.as_vec3().to_array()),
+            link_torque: motor.thrust.map(|thrust| thrust.torque.as_vec3().to_array()),
         }
+    }
+
+    /// Whether all motors act on hinges and slides, directly or by tendons.
+    #[must_use]
+    pub fn drives_only_joints(&self) -> bool {
+        let turns_ball = |(hinge, _): &(usize, f32)| self.layout.hinges[*hinge].plan.turns_ball();
+        let is_other =
+            |motor: &MotorPlan| motor.thrust.is_some() || motor.moved.0.iter().any(turns_ball);
+        !self.blueprint.motors.iter().any(is_other)
+    }
+
+    /// The axis by which the gear of a motor on a ball joint is multiplied, in axes of the child.
+    fn ball_axis(&self, motor: &MotorPlan) -> Option<[f32; 3]> {
+        let (first, _) = motor.moved.0.first().filter(|_| motor.tendon.is_none())?;
+        let turned = |ball: &&BallMap| (ball.first..ball.first + 3).contains(first);
+        let ball = self.layout.balls.iter().find(turned)?;
+        let mut axis = [0.0; 3];
+        motor.moved.0.iter().for_each(|(hinge, part)| axis[hinge - ball.first] = *part);
+        Some(axis)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Motors of a model with which random actions move little or only to the limits, so that a policy learns little.
 
+use rapier3d::glamx::DVec3;
+
 use super::Robot;
 use super::blueprint::MotorPlan;
 use super::layout::{FASTEST, HingeMap};
@@ -26,9 +28,14 @@ impl Robot {
     /// each motor's for the actions -1 and 1.
     pub(crate) fn hard_to_explore(&self, controls: &[[f32; 2]]) -> Vec<String> {
         let about = |(motor, controls): (&MotorPlan, &[f32; 2])| {
-            let hinge = &self.layout.hinges[motor.moved.only_hinge()?];
+            let hinge = motor.moved.only_hinge().map(|hinge| &self.layout.hinges[hinge]);
+            let inverse_inertia = match hinge {
+                Some(hinge) => Some(hinge.axis_inverse_inertia),
+                None => self.inverse_pushed_mass(motor),
+            };
             let step_secs = self.physics_step_secs() as f32;
-            let why = Drive { motor, controls: *controls, hinge, step_secs }.fault()?;
+            let drive = Drive { motor, controls: *controls, hinge, inverse_inertia, step_secs };
+            let why = drive.fault()?;
             let width = |[low, high]: [f32; 2]| high - low;
             let excess = width(*controls) - width(motor.range);
             let is_scaled = excess.abs() > 1e-3 * width(motor.range);
@@ -39,14 +46,26 @@ impl Robot {
         let motors = self.blueprint.motors.iter().zip(controls);
         motors.filter(|(motor, _)| !motor.integrates()).filter_map(about).collect()
     }
+
+    /// Inverse mass of the robot that a force on a site pushes, 1/kg; `None` for other motors.
+    fn inverse_pushed_mass(&self, motor: &MotorPlan) -> Option<f32> {
+        let thrust = motor.thrust.filter(|thrust| thrust.force != DVec3::ZERO)?;
+        let tree = self.blueprint.tree_of(thrust.link);
+        let links = self.blueprint.links.iter().enumerate();
+        let own = links.filter(|(index, _)| self.blueprint.tree_of(*index) == tree);
+        Some(1.0 / own.map(|(_, link)| link.mass.mass()).sum::<f32>())
+    }
 }
 
-/// A motor on its joint.
+/// A motor on what it moves.
 struct Drive<'a> {
     motor: &'a MotorPlan,
     /// Controls for the actions -1 and 1.
     controls: [f32; 2],
-    hinge: &'a HingeMap,
+    /// Its joint, if it moves a single one.
+    hinge: Option<&'a HingeMap>,
+    /// Acceleration of that joint, or of the robot by a force on a site, per torque or force, 1/(kg m^2) or 1/kg.
+    inverse_inertia: Option<f32>,
     /// Duration of a physics step, s.
     step_secs: f32,
 }
@@ -86,6 +105,7 @@ impl Drive<'_> {
         };
         match (stiffness, slope) {
             (0.0, 0.0) => self.fault_of_torque(ends(self.motor.gear)),
+            _ if self.is_weak_servo() => Some(self.too_weak(self.largest_of_servo())),
             (0.0, slope) => self.fault_of_speed(ends(-1.0 / (slope * self.motor.gear))),
             (stiffness, _) => self.fault_of_target(ends(-1.0 / (stiffness * self.motor.gear))),
         }
@@ -93,10 +113,11 @@ impl Drive<'_> {
 
     /// For a motor without feedback, whose torques these are at the ends of its control range.
     fn fault_of_torque(&self, [low, high]: [f32; 2]) -> Option<String> {
-        let [unit, newtons] = self.hinge.units();
+        let [unit, newtons] = self.units();
         let force = self.motor.servo.and_then(|servo| servo.range);
         let force = force.map(|range| range.map(|end| end * self.motor.gear));
-        let limits = [force, self.hinge.plan.torque_range].into_iter().flatten();
+        let torque = self.hinge.and_then(|hinge| hinge.plan.torque_range);
+        let limits = [force, torque].into_iter().flatten();
         let clipped =
             limits.fold([low, high], |ends, [a, b]| ends.map(|end| end.clamp(a.min(b), a.max(b))));
         let share = (clipped[1] - clipped[0]) / (high - low);
@@ -116,25 +137,65 @@ impl Drive<'_> {
                 "always exerts {low} to {high} {newtons}, almost the same: widen `ctrlrange`"
             ));
         }
-        let acceleration = largest * self.hinge.axis_inverse_inertia;
-        if acceleration < SLOWEST_ACCELERATION {
-            return Some(format!(
-                "exerts {largest} {newtons} at most, which accelerates the joint by {acceleration:.2e} {unit}/s^2: raise \
-                 `gear` or widen `ctrlrange`"
-            ));
+        if self.is_weak(largest) {
+            return Some(self.too_weak(largest));
         }
-        (acceleration * self.step_secs > FASTEST).then(|| {
+        let speed = largest * self.inverse_inertia? * self.step_secs;
+        (speed > FASTEST).then(|| {
             format!(
-                "exerts up to {largest} {newtons}, which accelerates the joint to {:.2e} {unit}/s in one physics step: \
+                "exerts up to {largest} {newtons}, which accelerates {} to {speed:.2e} {unit}/s in one physics step: \
                  lower `gear` or narrow `ctrlrange`",
-                acceleration * self.step_secs
+                self.moved()
             )
         })
     }
 
+    /// Units of the position and of the torque or force.
+    fn units(&self) -> [&'static str; 2] {
+        match (self.hinge, self.motor.thrust) {
+            (Some(hinge), _) => hinge.units(),
+            (None, Some(thrust)) if thrust.force == DVec3::ZERO => ["rad", "N m"],
+            (None, _) => ["m", "N"],
+        }
+    }
+
+    /// What it moves, in words.
+    fn moved(&self) -> &'static str {
+        if self.motor.thrust.is_some() { "the robot" } else { "the joint" }
+    }
+
+    /// Whether this largest torque or force hardly moves anything.
+    fn is_weak(&self, largest: f32) -> bool {
+        self.inverse_inertia.is_some_and(|inverse| largest * inverse < SLOWEST_ACCELERATION)
+    }
+
+    fn too_weak(&self, largest: f32) -> String {
+        let [unit, newtons] = self.units();
+        let acceleration = largest * self.inverse_inertia.unwrap_or_default();
+        let advice = match self.motor.servo.and_then(|servo| servo.range) {
+            Some(_) => "raise `gear`, or widen `ctrlrange` and `forcerange`",
+            None => "raise `gear` or widen `ctrlrange`",
+        };
+        format!(
+            "exerts {largest} {newtons} at most, which accelerates {} by {acceleration:.2e} {unit}/s^2: {advice}",
+            self.moved()
+        )
+    }
+
+    /// Largest torque or force of a servo with a limit; infinite without one.
+    fn largest_of_servo(&self) -> f32 {
+        let range = self.motor.servo.and_then(|servo| servo.range);
+        let largest = |[low, high]: [f32; 2]| self.motor.gear.abs() * low.abs().max(high.abs());
+        range.map_or(f32::INFINITY, largest)
+    }
+
+    fn is_weak_servo(&self) -> bool {
+        self.is_weak(self.largest_of_servo())
+    }
+
     /// For a servo of the speed with these targets at the ends of its control range.
     fn fault_of_speed(&self, [low, high]: [f32; 2]) -> Option<String> {
-        let [unit, _] = self.hinge.units();
+        let [unit, _] = self.hinge?.units();
         let largest = low.abs().max(high.abs());
         if high - low < SMALLEST_TARGET.max(SMALLEST_CHANGE * largest) {
             return Some(format!(
@@ -148,8 +209,9 @@ impl Drive<'_> {
 
     /// For a servo of the position with these targets at the ends of its control range.
     fn fault_of_target(&self, [low, high]: [f32; 2]) -> Option<String> {
-        let [unit, _] = self.hinge.units();
-        let Some([start, end]) = self.hinge.plan.range else {
+        let hinge = self.hinge?;
+        let [unit, _] = hinge.units();
+        let Some([start, end]) = hinge.plan.range else {
             return (high - low < SMALLEST_TARGET).then(|| {
                 format!(
                     "has targets from {low} to {high} {unit}, almost the same: widen `ctrlrange`"
@@ -220,6 +282,10 @@ mod tests {
             ),
             ("position joint=\"hip\" kp=\"50\" ctrlrange=\"-90 90\"", "not degrees"),
             ("position joint=\"hip\" kp=\"50\" ctrlrange=\"2 3\"", "almost all outside"),
+            (
+                "position joint=\"hip\" kp=\"50\" ctrlrange=\"0 1\" forcerange=\"-1e-6 1e-6\"",
+                "widen `ctrlrange` and `forcerange`",
+            ),
             ("velocity joint=\"hip\" kv=\"5\" ctrlrange=\"-1e-3 1e-3\"", "almost the same"),
             (
                 "velocity joint=\"hip\" kv=\"5\" ctrlrange=\"-5000 5000\"",
@@ -232,6 +298,36 @@ mod tests {
                 hints[0].starts_with("the motor of `hip` ") && hints[0].contains(part),
                 "{hints:?}"
             );
+        }
+    }
+
+    #[test]
+    fn a_motor_on_a_site_or_a_tendon_that_random_actions_cannot_explore_is_named() {
+        for (motor, part) in [
+            ("motor site=\"s\" gear=\"0 0 0\"", "has gear 0"),
+            ("motor site=\"s\" gear=\"0 0 1\" ctrlrange=\"0 1e-4\"", "accelerates the robot by"),
+            (
+                "motor site=\"s\" gear=\"0 0 1\" ctrlrange=\"15 25\" forcerange=\"0 1\"",
+                "so 0.0 % of its control range has an effect",
+            ),
+            ("motor site=\"s\" gear=\"0 0 1\" ctrlrange=\"24.9 25\"", "almost the same"),
+            ("motor tendon=\"t\" gear=\"0\"", "has gear 0"),
+            ("position tendon=\"t\" kp=\"0\" ctrlrange=\"-1 1\"", "has gain 0"),
+            ("motor site=\"s\" gear=\"0 0 1\" ctrlrange=\"0 25\"", ""),
+            ("motor tendon=\"t\" ctrlrange=\"-5 5\"", ""),
+        ] {
+            let model = format!(
+                "<mujoco><default><motor ctrlrange=\"-1 1\"/></default><worldbody><body><freejoint/><site name=\"s\"/><geom size=\"0.1\" mass=\"1\"/>\
+                 <body pos=\"1 0 0\"><joint name=\"a\"/><geom size=\"0.1\" mass=\"1\"/>\
+                 <body pos=\"1 0 0\"><joint name=\"b\"/><geom size=\"0.1\" mass=\"1\"/></body></body></body></worldbody>\
+                 <tendon><fixed name=\"t\"><joint joint=\"a\" coef=\"1\"/><joint joint=\"b\" coef=\"1\"/></fixed></tendon>\
+                 <actuator><{motor}/></actuator></mujoco>"
+            );
+            let file = |_: &str| Ok(model.as_bytes().to_vec());
+            let robot = Robot::of_model("model.xml", file).unwrap();
+            let hints = robot.hard_to_explore(&controls(&robot));
+            assert_eq!(hints.len(), usize::from(!part.is_empty()), "{motor}: {hints:?}");
+            assert!(hints.iter().all(|hint| hint.contains(part)), "{hints:?}");
         }
     }
 

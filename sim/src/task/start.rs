@@ -120,11 +120,7 @@ impl Start {
             within("start.keyframe (an activation)", *activation, *low, *high)?;
         }
         let names = robot.coordinate_names();
-        let key = |index: usize| match &row.keyframe {
-            Some(_) if !row.coordinates.contains_key(&names[index]) => "start.keyframe",
-            None if !row.coordinates.contains_key(&names[index]) => "the model's start",
-            _ => "start.coordinates",
-        };
+        let key = |index: usize| key_of(row, &names[index..=index]);
         let mut pose = robot.rest().to_vec();
         start.coordinates.iter().for_each(|(index, value)| pose[*index] = *value);
         for first in &bounds.orientations {
@@ -140,8 +136,8 @@ impl Start {
                 let why = format!("allowed is {most}; normal noise ends at 5.77 deviations");
                 return Err(refused(format!("start.positions and start.noise: {what}, {why}")));
             }
-            let length = pose[turn].iter().map(|q| q * q).sum::<f32>().sqrt();
-            within(&format!("{} (length of a quaternion)", key(*first)), length, 0.99, 1.01)?;
+            let length = pose[turn.clone()].iter().map(|q| q * q).sum::<f32>().sqrt();
+            within(&place_of_quaternion(row, &names[turn]), length, 0.99, 1.01)?;
         }
         let turns = |index: usize| {
             bounds.orientations.iter().any(|first| (*first..first + 4).contains(&index))
@@ -200,6 +196,21 @@ impl Start {
             velocities.iter_mut().for_each(|number| *number += distribution.draw(rng));
         }
     }
+}
+
+/// The key that states one of these coordinates of the start.
+fn key_of(row: &StartRow, names: &[String]) -> &'static str {
+    match &row.keyframe {
+        _ if names.iter().any(|name| row.coordinates.contains_key(name)) => "start.coordinates",
+        Some(_) => "start.keyframe",
+        None => "the model's start",
+    }
+}
+
+/// Where a quaternion of the start with these coordinates is stated.
+fn place_of_quaternion(row: &StartRow, names: &[String]) -> String {
+    let key = key_of(row, names);
+    format!("{key} (length of the quaternion `{}` to `{}`)", names[0], names[names.len() - 1])
 }
 
 /// The start that a keyframe of the model states.

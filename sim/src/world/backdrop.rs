@@ -14,28 +14,28 @@ const MOST_ALONG: usize = 24;
 const LINE: f32 = 0.02;
 /// Smallest height of the normal, of length one, of a level plane.
 const LEVEL: f32 = 0.999;
+/// Half the sizes of the drawn part of another plane, m.
+const SLAB: [f32; 3] = [10.0, 10.0, 0.01];
 /// Largest coordinate and radius of what is drawn, m.
 const FARTHEST: f32 = 1e3;
 
 impl World {
-    /// Height of the floor, m: of the highest level plane, or 0 without one.
+    /// Height of the floor, m: of the highest level plane; `None` without one.
     #[must_use]
-    pub fn floor_height(&self) -> f32 {
-        let levels = self.grounds().filter_map(|(form, pose)| {
-            let is_level =
-                matches!(form, GroundForm::Plane) && (pose.rotation * Vector::Z).z > LEVEL;
-            is_level.then_some(pose.translation.z)
-        });
-        levels.reduce(f32::max).unwrap_or(0.0)
+    pub fn floor_height(&self) -> Option<f32> {
+        let planes = self.grounds().filter(|(form, _)| matches!(form, GroundForm::Plane));
+        let levels = planes.filter(|(_, pose)| is_level(pose)).map(|(_, pose)| pose.translation.z);
+        levels.reduce(f32::max)
     }
 
-    /// Shapes that are fixed to the world, in its frame, without planes. Height fields are meshes of limited size.
+    /// Shapes that are fixed to the world, in its frame, without level planes. Other planes are slabs. Height fields are meshes of limited size.
     pub fn fixed_shapes(&self) -> Vec<LinkShape> {
         let grounds = self.grounds().filter_map(|(form, pose)| {
-            let shape = match form {
-                GroundForm::Plane => return None,
-                GroundForm::Solid(shape) => shape.clone(),
-                GroundForm::Field(field) => Shape::Hull(Arc::new(mesh(field))),
+            let (shape, pose) = match form {
+                GroundForm::Plane if is_level(&pose) => return None,
+                GroundForm::Plane => slab(&pose),
+                GroundForm::Solid(shape) => (shape.clone(), pose),
+                GroundForm::Field(field) => (Shape::Hull(Arc::new(mesh(field))), pose),
             };
             let (position, quaternion) = parts(&pose);
             Some(LinkShape { link: WORLD.to_owned(), shape, position, quaternion })
@@ -63,7 +63,11 @@ impl World {
         field: impl Fn(&HeightField, &Pose) -> Vec<Capsule>,
     ) -> Vec<Capsule> {
         let grounds = self.grounds().flat_map(|(form, pose)| match form {
-            GroundForm::Plane => Vec::new(),
+            GroundForm::Plane if is_level(&pose) => Vec::new(),
+            GroundForm::Plane => {
+                let (shape, pose) = slab(&pose);
+                solid(&shape, &pose)
+            }
             GroundForm::Solid(shape) => solid(shape, &pose),
             GroundForm::Field(heights) => field(heights, &pose),
         });
@@ -164,6 +168,16 @@ fn grid(field: &HeightField, pose: &Pose) -> Vec<Capsule> {
         .iter()
         .map(|column| rows.iter().map(|row| field.point(*row, *column)).collect::<Vec<Vector>>());
     along_x.chain(along_y).flat_map(|points| line(&points, pose)).collect()
+}
+
+fn is_level(plane: &Pose) -> bool {
+    (plane.rotation * Vector::Z).z > LEVEL
+}
+
+/// A part of a plane, and the pose of its middle.
+fn slab(plane: &Pose) -> (Shape, Pose) {
+    let middle = Pose::from_translation(Vector::new(0.0, 0.0, -SLAB[2]));
+    (Shape::Box { half_sizes: SLAB }, *plane * middle)
 }
 
 /// The top of a height field.
@@ -278,10 +292,22 @@ mod tests {
         let plane = |place: &str| format!("<geom type=\"plane\" size=\"1 1 1\" {place}/>");
         let table = plane("pos=\"0 0 -0.4\"");
         let slope = plane("pos=\"0 0 2\" euler=\"0 20 0\"");
-        assert_near(&[height("", &[])], &[0.0]);
-        assert_near(&[height(&table, &[])], &[-0.4]);
-        assert_near(&[height(&table, &[(0, 0.25)])], &[-0.15]);
-        assert_near(&[height(&format!("{}{table}{slope}", plane("pos=\"0 0 -1\"")), &[])], &[-0.4]);
+        assert_eq!(height("", &[]), None);
+        assert_eq!(height(&slope, &[]), None);
+        assert_eq!(height(&table, &[]), Some(-0.4));
+        assert_eq!(height(&table, &[(0, 0.25)]), Some(-0.15));
+        assert_eq!(height(&format!("{}{table}{slope}", plane("pos=\"0 0 -1\"")), &[]), Some(-0.4));
+    }
+
+    #[test]
+    fn a_tilted_plane_is_a_slab_whose_upper_side_is_in_it() {
+        let slope = "<geom type=\"plane\" size=\"1 1 1\" pos=\"0 0 2\" euler=\"0 90 0\"/>";
+        let ball = "<body pos=\"0 0 3\"><freejoint/><geom size=\"0.1\"/></body>";
+        let world = world_of(&format!("<mujoco><worldbody>{slope}{ball}</worldbody></mujoco>"));
+        let shapes = world.fixed_shapes();
+        assert_eq!(shapes[0].shape, Shape::Box { half_sizes: SLAB });
+        assert_near(&shapes[0].position, &[-SLAB[2], 0.0, 2.0]);
+        assert_eq!((world.fixed_capsules().len(), world.fixed_outlines().len()), (1, 12));
     }
 
     #[test]

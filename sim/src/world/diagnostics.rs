@@ -31,7 +31,7 @@ impl World {
         (weighted / total).to_array()
     }
 
-    /// Height of the robot's lowest point above the floor, m; negative for penetration.
+    /// Height of the robot's lowest point above a floor at z = 0, m; negative for penetration.
     pub fn lowest_point(&self) -> f32 {
         let links = self.robot.blueprint.links.iter().zip(&self.robot.layout.joints);
         let heights = links.flat_map(|(plan, joint)| {
@@ -49,7 +49,35 @@ impl World {
                 }
             })
         });
-        heights.fold(f32::INFINITY, f32::min) - self.floor_height()
+        heights.fold(f32::INFINITY, f32::min)
+    }
+
+    /// Largest depth of the robots that have motors in what is fixed and can touch them, m; `None` if nothing is near.
+    #[must_use]
+    pub fn depth_in_ground(&self) -> Option<f32> {
+        let blueprint = &self.robot.blueprint;
+        let shapes: Vec<_> = blueprint.shapes().collect();
+        let driven = self.robot.driven_trees();
+        let link = |index: &usize| shapes.get(*index).map(|own| blueprint.link_of_shape(own));
+        let is_fixed =
+            |index: &usize| link(index).is_none_or(|link| blueprint.links[link].is_base());
+        let is_driven = |index: &usize| {
+            link(index).is_some_and(|link| driven.contains(&blueprint.tree_of(link)))
+        };
+        let are_of_one = |[one, other]: [usize; 2]| {
+            let both = shapes.get(one).zip(shapes.get(other));
+            both.is_some_and(|(one, other)| blueprint.are_of_one_robot(one, other))
+        };
+        let counts = |pair: [usize; 2]| {
+            pair.iter().any(is_fixed) && pair.iter().any(is_driven) && !are_of_one(pair)
+        };
+        let mut constraints = Constraints::new(&self.robot, 0.0);
+        let depths = constraints.depths(&self.robot, self.multibody(), &self.physics);
+        depths
+            .into_iter()
+            .filter(|(pair, _)| counts(*pair))
+            .map(|(_, depth)| depth)
+            .reduce(f32::max)
     }
 
     /// What links are in that can touch them and is no part of their robot, each with the largest depth, m: the name of a
@@ -135,5 +163,38 @@ fn shape_name<'a>(blueprint: &'a Blueprint, name: &'a str, body: usize) -> &'a s
         _ if !name.is_empty() => name,
         0 => "a fixed shape",
         body => &blueprint.bodies[body],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::robot::Robot;
+
+    /// Depth of a driven ball of 0.1 m, whose middle is at this height, beside a box without motors that is in the floor.
+    fn depth(grounds: &str, height: f32) -> Option<f32> {
+        let model = format!(
+            "<mujoco><worldbody>{grounds}<body pos=\"3 0 0.1\"><freejoint/><geom type=\"box\" size=\"0.2 0.2 0.2\"/></body>\
+             <body pos=\"0 0 {height}\"><joint name=\"j\" type=\"slide\" axis=\"0 0 1\"/><geom size=\"0.1\"/></body></worldbody>\
+             <actuator><motor joint=\"j\" ctrlrange=\"-1 1\"/></actuator></mujoco>"
+        );
+        let model = |_: &str| Ok(model.as_bytes().to_vec());
+        World::new(Arc::new(Robot::of_model("world.xml", model).unwrap())).depth_in_ground()
+    }
+
+    #[test]
+    fn the_depth_in_the_ground_is_that_of_driven_robots_in_planes_and_solids() {
+        let plane = |place: &str| format!("<geom type=\"plane\" size=\"9 9 1\" {place}/>");
+        let near = |found: Option<f32>, expected: f32| {
+            assert!((found.unwrap() - expected).abs() < 1e-5, "{found:?} against {expected}");
+        };
+        assert_eq!(depth("", 0.05), None);
+        assert!(depth(&plane(""), 5.0).is_none_or(|depth| depth < 0.0));
+        near(depth(&plane(""), 0.08), 0.02);
+        // At an incline of 60 degrees the middle is half as far from the plane as it is high.
+        near(depth(&plane("euler=\"0 60 0\""), 0.1), 0.05);
+        near(depth("<geom type=\"box\" size=\"1 1 1\" pos=\"0 0 -1.5\"/>", -0.43), 0.03);
     }
 }

@@ -242,3 +242,9 @@ fn a_needed_setting_that_has_no_value_is_shown_as_not_given() {
          not given; leave it out or change that"
     );
 }
+
+#[test]
+fn of_a_setting_without_an_effect_no_other_value_is_asked() {
+    let line = refusal(&["halfcheetah-2x3", "algorithm=hasac", "policy.sigma_scale=0.3"]);
+    assert!(line.contains("`policy.sigma_scale` has no effect in this run"), "{line}");
+}

@@ -171,6 +171,11 @@ fn a_value_out_of_range_is_laid_at_its_key_and_place() {
         ("maddpg.polyak=0", "maddpg.polyak"),
         ("log.episodes=some", "log.episodes"),
         ("log.episodes=0", "log.episodes"),
+        (
+            "surprise.alpha=1e-300",
+            "surprise.alpha = 1e-300 is too close to 0; the smallest number above 0",
+        ),
+        ("update.learning_rate=1e-45", "update.learning_rate = 1e-45 is too close to 0"),
     ] {
         let message = RunConfig::with(&["halfcheetah-6x1", "algorithm=happo", setting])
             .unwrap_err()

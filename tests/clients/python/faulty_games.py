@@ -1,5 +1,7 @@
 """Environments with one fault each, as their authors might write them."""
 
+import os
+import pathlib
 import sys
 import time
 
@@ -143,3 +145,15 @@ def nothing():
 
 def broken():
     raise ValueError("an error of the author\nin two lines")
+
+
+class Held(Game):
+    """Holds a file outside the process until it is closed."""
+
+    def __init__(self, folder):
+        super().__init__()
+        self.file = pathlib.Path(folder) / f"{os.getpid()}-{id(self)}"
+        self.file.write_text("held")
+
+    def close(self):
+        self.file.unlink()

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 
 import grpc
 import numpy as np
@@ -183,6 +184,25 @@ def test_a_signal_ends_the_server_with_status_0_and_without_a_word(number):
     process.send_signal(number)
     assert process.communicate(timeout=60)[1] == ""
     assert process.returncode == 0
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_environments_are_closed_at_the_end_of_their_stream_and_of_the_server(workers, tmp_path):
+    process = start("faulty_games:Held", f"folder={tmp_path}", "--workers", workers)
+    assert played(process, streams=4) == ["6 answers"] * 4
+    deadline = time.monotonic() + 30
+    # A worker keeps the environment of its description until its first stream.
+    while (held := len(list(tmp_path.iterdir()))) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert held == 0
+    replayed = start("faulty_games:Held", f"folder={tmp_path}", "--workers", workers)
+    replayed.stdout.readline()
+    assert list(tmp_path.iterdir())
+    for server in (process, replayed):
+        server.terminate()
+        assert server.communicate(timeout=60)[1] == ""
+        assert server.returncode == 0
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_signal_that_another_thread_received_ends_the_server():

@@ -40,6 +40,20 @@ fn the_quaternion_of_a_ball_joint_in_a_keyframe_is_normalised() {
 }
 
 #[test]
+fn a_start_with_one_number_of_a_quaternion_is_told_to_state_all_four() {
+    let file = FILE.replace("\"wrist.qy\" = 0.198669", "\"wrist.qy\" = 1.0");
+    let definition = TaskDefinition { file: file.clone(), model: MODEL.to_owned() };
+    let config = TaskConfig {
+        task: "arm-p".to_owned(),
+        definition: Some(definition),
+        ..config(&file, ObservationMode::FullId)
+    };
+    let error = environments(&config, 1).map(drop).unwrap_err().to_string();
+    let place = "start.coordinates (length of the quaternion `wrist.qw` to `wrist.qz`)";
+    assert!(error.contains(place), "{error}");
+}
+
+#[test]
 fn a_ball_joint_has_a_quaternion_three_speeds_and_one_action_per_actuator() {
     let arm = arm(ObservationMode::FullId);
     let names: Vec<&str> = arm.description().state.iter().map(|own| own.name.as_str()).collect();

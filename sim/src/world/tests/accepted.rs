@@ -32,9 +32,9 @@ fn range(actuator: &str) -> [f32; 2] {
     driven(actuator).actuators().next().unwrap().control
 }
 
-#[test]
-fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
-    let motor = ActuatorSpec {
+/// The law of a motor on the joint of [`driven`].
+fn motor_law() -> ActuatorSpec {
+    ActuatorSpec {
         name: "j".to_owned(),
         joint: "j".to_owned(),
         kind: ActuatorKind::Motor,
@@ -49,7 +49,17 @@ fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
         activation: None,
         time_constant_secs: None,
         activation_range: None,
-    };
+        ball_axis: None,
+        link: None,
+        link_point: None,
+        link_force: None,
+        link_torque: None,
+    }
+}
+
+#[test]
+fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
+    let motor = motor_law();
     let servo = ActuatorSpec {
         kind: ActuatorKind::Position,
         gain: 50.0,
@@ -94,6 +104,34 @@ fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
         // The law is for the joint's coordinate as agents observe it, whatever its reference.
         assert_eq!(driven_from(0.3, &actuator).actuator_spec(0), expected, "{actuator}");
     }
+}
+
+#[test]
+fn the_law_of_an_actuator_on_a_site_or_a_ball_joint_has_its_direction() {
+    let law = |joint: &str, actuator: &str| {
+        let body = format!(
+            "<body pos=\"0 0 1\">{joint}<site name=\"s\" pos=\"0.5 0 0\" euler=\"0 0 90\"/><geom size=\"0.1\"/></body>"
+        );
+        robot(&document(&body, actuator)).unwrap().actuator_spec(0)
+    };
+    let near = |found: Option<[f32; 3]>, expected: [f32; 3]| {
+        let found = found.unwrap();
+        let is_near = found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6);
+        assert!(is_near, "{found:?} against {expected:?}");
+    };
+    // The site's x axis is the link's y axis.
+    let free = "<freejoint/>";
+    let site = law(free, "<motor site=\"s\" gear=\"4 0 0 0 0 -2\" ctrlrange=\"-1 1\"/>");
+    assert!(site.joint == "s" && (site.gear - 4.0).abs() < 1e-6, "{site:?}");
+    assert!(site.link.is_some() && site.ball_axis.is_none());
+    near(site.link_point, [0.5, 0.0, 0.0]);
+    near(site.link_force, [0.0, 1.0, 0.0]);
+    near(site.link_torque, [0.0, 0.0, -0.5]);
+    let ball = "<joint name=\"j\" type=\"ball\"/>";
+    let one = law(ball, "<motor joint=\"j\" gear=\"0 0 3\" ctrlrange=\"-1 1\"/>");
+    assert_eq!((one.gear, one.ball_axis, one.link), (3.0, Some([0.0, 0.0, 1.0]), None));
+    let several = law(ball, "<motor joint=\"j\" gear=\"1 0 3\" ctrlrange=\"-1 1\"/>");
+    assert_eq!((several.gear, several.ball_axis), (1.0, Some([1.0, 0.0, 3.0])));
 }
 
 #[test]
