@@ -1,10 +1,13 @@
 """Every failed call is a `ConnectionError` of one line that says what to change, and no call uses a proxy."""
 
+import gc
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 
 import grpc
 import numpy as np
@@ -52,6 +55,22 @@ def test_no_client_uses_a_proxy(proxy, serve, policies):
     team = s2mia.Team(policies.address)
     assert set(team.act(SEEN)) == set(SEEN)
     team.close()
+
+
+def test_teams_that_are_dropped_leave_no_threads(policies):
+    def acted() -> dict:
+        return s2mia.Team(policies.address).act(SEEN)
+
+    acted()
+    gc.collect()
+    before = threading.active_count()
+    for _ in range(10):
+        acted()
+    gc.collect()
+    deadline = time.monotonic() + 20
+    while threading.active_count() > before + 3 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert threading.active_count() <= before + 3
 
 
 def test_every_call_to_a_learner_that_is_gone_fails_in_one_line(serve):

@@ -6,6 +6,7 @@ import s2mia
 from conftest import HASAC, ROBOT, SMALL, s2mia_run
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from s2mia import wire
 from s2mia.policy import Policy
 from s2mia.shared_noise import TRAINING
 
@@ -114,3 +115,18 @@ def test_a_distribution_that_is_unknown_is_refused(run):
     )
     with pytest.raises(ValueError, match="^core lru with distribution "):
         Policy(other)
+
+
+def test_bytes_that_are_no_policies_are_refused_in_one_line(run):
+    snapshot = max((run / "checkpoints").glob("iter_*/policy.safetensors"))
+    weights = (snapshot.parent / "weights.safetensors").read_bytes()
+    for other in (b"", b"garbage", weights, snapshot.read_bytes()[:-40]):
+        with pytest.raises(ValueError, match="^no policies, or damaged ones; policy.safetensors of a checkpoint has them") as refused:
+            Policy(other)
+        assert len(str(refused.value).splitlines()) == 1
+
+
+def test_the_numbers_of_a_message_can_be_written_to():
+    numbers = wire.array(wire.tensor(np.zeros(3, np.float32)))
+    numbers += 1
+    assert numbers.tolist() == [1, 1, 1]
