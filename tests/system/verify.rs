@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use learner::store::checkpoint;
 use serde_json::Value;
@@ -276,6 +277,8 @@ fn no_temporary_folder_stays_after_a_second_signal() {
     assert_eq!(temporary.read_dir().unwrap().count(), 1);
     verify.signal("-INT");
     verify.logs("stopping", 1);
+    // Signals within half a second are one request.
+    std::thread::sleep(Duration::from_millis(600));
     verify.signal("-INT");
     assert_eq!(verify.end().0, Some(130));
     actors.iter().for_each(|actor| signal(*actor, "-CONT"));
