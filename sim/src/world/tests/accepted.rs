@@ -110,7 +110,7 @@ fn the_law_of_an_actuator_has_the_numbers_of_the_model() {
 fn the_law_of_an_actuator_on_a_site_or_a_ball_joint_has_its_direction() {
     let law = |joint: &str, actuator: &str| {
         let body = format!(
-            "<body pos=\"0 0 1\">{joint}<site name=\"s\" pos=\"0.5 0 0\" euler=\"0 0 90\"/><geom size=\"0.1\"/></body>"
+            "<body pos=\"0 0 1\">{joint}<site name=\"s\" pos=\"0.5 0 0\" euler=\"0 0 1.57079633\"/><geom size=\"0.1\"/></body>"
         );
         robot(&document(&body, actuator)).unwrap().actuator_spec(0)
     };
