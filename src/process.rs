@@ -68,7 +68,7 @@ pub(crate) fn stop_on_signal(
     stop: watch::Sender<bool>,
     announce: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
-    stop_or_exit(stop, REPEATED, announce, || ())
+    clean_up_on_signal(stop, announce, || ())
 }
 
 /// The same, but `clean_up` runs before the exit.

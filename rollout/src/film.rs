@@ -12,6 +12,8 @@ pub const FILMED: u32 = 0;
 pub struct FilmRecorder {
     /// Capsules in the frames of their links, and the indices of these in a pose; then fixed ones, in the world.
     capsules: Vec<(Option<usize>, Capsule)>,
+    /// Height of the floor in the episode, metres.
+    floor: f32,
     film: Film,
     frames: usize,
 }
@@ -44,7 +46,8 @@ impl FilmRecorder {
             drivers: capsules.iter().map(|(link, _)| link.and_then(|link| drivers[link])).collect(),
             ends: Vec::new(),
         };
-        let mut recorder = Self { capsules, film, frames: 0 };
+        let floor = world.world(0).and_then(World::floor_height).unwrap_or(0.0);
+        let mut recorder = Self { capsules, floor, film, frames: 0 };
         recorder.capture(world);
         Some(recorder)
     }
@@ -69,12 +72,11 @@ impl FilmRecorder {
         }
         self.frames += 1;
         let pose = world.pose(0);
-        let floor = world.world(0).and_then(World::floor_height).unwrap_or(0.0);
         let ends = self.capsules.iter().map(|(link, capsule)| {
             let link = link.map(|link| &pose.links[link]);
             capsule.ends.map(|end| {
                 let [x, y, z] = link.map_or(end, |link| link.in_world(end));
-                [x, y, z - floor]
+                [x, y, z - self.floor]
             })
         });
         self.film.ends.extend(ends.flatten().flatten());

@@ -110,9 +110,9 @@ impl Moment {
         let turns = now.pose.joints.iter().zip(&before.pose.joints);
         let turns = turns.map(|(to, from)| to.position - from.position);
         let work = turns.zip(robot(step.world).efforts());
-        let work: f64 = work.map(|(turn, effort)| f64::from(effort * turn)).sum();
+        let work = work.map(|(turn, effort)| f64::from(effort * turn));
         let is_known = robot(step.world).robot().drives_only_joints();
-        Self { work: is_known.then_some(work), ..now }
+        Self { work: is_known.then(|| work.sum()), ..now }
     }
 
     /// Position of the root along x, metres.

@@ -105,7 +105,9 @@ impl Drive<'_> {
         };
         match (stiffness, slope) {
             (0.0, 0.0) => self.fault_of_torque(ends(self.motor.gear)),
-            _ if self.is_weak_servo() => Some(self.too_weak(self.largest_of_servo())),
+            _ if self.is_weak(self.largest_of_servo()) => {
+                Some(self.too_weak(self.largest_of_servo()))
+            }
             (0.0, slope) => self.fault_of_speed(ends(-1.0 / (slope * self.motor.gear))),
             (stiffness, _) => self.fault_of_target(ends(-1.0 / (stiffness * self.motor.gear))),
         }
@@ -187,10 +189,6 @@ impl Drive<'_> {
         let range = self.motor.servo.and_then(|servo| servo.range);
         let largest = |[low, high]: [f32; 2]| self.motor.gear.abs() * low.abs().max(high.abs());
         range.map_or(f32::INFINITY, largest)
-    }
-
-    fn is_weak_servo(&self) -> bool {
-        self.is_weak(self.largest_of_servo())
     }
 
     /// For a servo of the speed with these targets at the ends of its control range.

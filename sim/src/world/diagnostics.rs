@@ -71,13 +71,14 @@ impl World {
         let counts = |pair: [usize; 2]| {
             pair.iter().any(is_fixed) && pair.iter().any(is_driven) && !are_of_one(pair)
         };
+        let counted = self.depths().into_iter().filter(|(pair, _)| counts(*pair));
+        counted.map(|(_, depth)| depth).reduce(f32::max)
+    }
+
+    /// Depths, m, of shapes that are near and can touch in each other, with the shapes as [`Constraints::depths`] counts them.
+    fn depths(&self) -> Vec<([usize; 2], f32)> {
         let mut constraints = Constraints::new(&self.robot, 0.0);
-        let depths = constraints.depths(&self.robot, self.multibody(), &self.physics);
-        depths
-            .into_iter()
-            .filter(|(pair, _)| counts(*pair))
-            .map(|(_, depth)| depth)
-            .reduce(f32::max)
+        constraints.depths(&self.robot, self.multibody(), &self.physics)
     }
 
     /// What links are in that can touch them and is no part of their robot, each with the largest depth, m: the name of a
@@ -86,9 +87,8 @@ impl World {
         let blueprint = &self.robot.blueprint;
         let shapes: Vec<_> = blueprint.shapes().collect();
         let name = |index: usize| shape_name(blueprint, &shapes[index].name, shapes[index].body);
-        let mut constraints = Constraints::new(&self.robot, 0.0);
         let mut overlaps = BTreeMap::new();
-        for (pair, depth) in constraints.depths(&self.robot, self.multibody(), &self.physics) {
+        for (pair, depth) in self.depths() {
             let [first, second] = pair;
             let other = match first.checked_sub(shapes.len()).map(|at| &blueprint.grounds[at]) {
                 Some(plane) if matches!(plane.form, GroundForm::Plane) => None,
