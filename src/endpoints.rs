@@ -1,5 +1,6 @@
 //! Endpoints of servers and clients: addresses and who can reach them, TLS arguments, the run's page, and tokens.
 
+use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -162,9 +163,14 @@ impl PageAccess {
         advice: &str,
         tls: Option<ServerTls>,
     ) -> anyhow::Result<Page> {
-        let listener = TcpListener::bind(address)
-            .await
-            .map_err(|error| Usage::new(format!("{flag} {address}: {error}; {advice}")))?;
+        let listener = TcpListener::bind(address).await.map_err(|error| {
+            let line = format!("{flag} {address}: {error}; {advice}");
+            match error.kind() {
+                // It may be free later.
+                ErrorKind::AddrInUse => anyhow::Error::msg(line),
+                _ => Usage::new(line).into(),
+            }
+        })?;
         let scheme = if tls.is_some() { "https" } else { "http" };
         let bound = listener.local_addr()?;
         output::line(format!("page: {scheme}://{}", reachable(bound)));

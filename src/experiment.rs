@@ -18,7 +18,7 @@ use std::str::FromStr;
 use crate::config::Request;
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::figures::chart::{counted, thousands};
+use crate::figures::chart::{count_of, thousands};
 use crate::run::run_path::LONGEST_NAME;
 use crate::run::warm_up;
 use file::{ExperimentFile, Variant, assignments};
@@ -124,7 +124,7 @@ pub(crate) fn remarks(runs: &[PlannedRun]) -> Vec<String> {
                 "note: {} has {} after its start in {} steps, too few for a curve; \
                  leave {EVERY_STEPS} out or set it to {}",
                 run.variant,
-                counted(count, "evaluation"),
+                count_of(count, "evaluation"),
                 thousands(steps),
                 thousands(advice),
             )

@@ -33,7 +33,7 @@ impl RobotShapes {
     /// The shapes of the simulated robot and its world in the current episode of environment 0; `None` for a game.
     pub(crate) fn of(world: &dyn EnvironmentBatch) -> Option<Self> {
         let description = world.description();
-        let drivers = sim::drivers(description, &world.pose(0));
+        let drivers = sim::drivers(world);
         let simulated = world.world(0)?;
         let (shapes, fixed) = (simulated.robot().shapes(), simulated.fixed_outlines());
         let floor = simulated.floor_height();

@@ -15,7 +15,7 @@ mod run;
 use std::process::ExitCode;
 
 use actor::ActorError;
-use learner::serve::health::HealthError;
+use learner::serve::client::CallError;
 
 use crate::config::ConfigError;
 use crate::errors::{ENVIRONMENT_OUTAGE, Incomplete, Usage};
@@ -57,7 +57,7 @@ fn choose_registers() -> anyhow::Result<()> {
 /// Prints one line on stderr. The status is 2 for invalid arguments or settings, 3 for incomplete logs, 4 for an
 /// environment that is unreachable for too long, else 1.
 fn failure(error: &anyhow::Error) -> ExitCode {
-    let wrong_url = matches!(error.downcast_ref(), Some(HealthError::InvalidUrl { .. }));
+    let wrong_url = matches!(error.downcast_ref(), Some(CallError::InvalidUrl { .. }));
     let wrong_usage = wrong_url || error.is::<ConfigError>() || error.is::<Usage>();
     process::output::error(format!("error: {}", actor::causes(error.as_ref())));
     let incomplete = error.is::<Incomplete>();

@@ -61,29 +61,20 @@ pub(crate) fn runtime() -> anyhow::Result<Runtime> {
 }
 
 /// Signals within this time are one stop request: `timeout` signals a process and then its group, to which it belongs.
-const REPEATED: Duration = Duration::from_millis(500);
+pub(crate) const SIGNAL_WINDOW: Duration = Duration::from_millis(500);
 
 /// Sets `stop` at the first signal, after `announce`; exits at the second. Call inside a runtime.
 pub(crate) fn stop_on_signal(
     stop: watch::Sender<bool>,
     announce: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
-    clean_up_on_signal(stop, announce, || ())
+    stop_or_exit(stop, SIGNAL_WINDOW, announce, || ())
 }
 
-/// The same, but `clean_up` runs before the exit.
-pub(crate) fn clean_up_on_signal(
-    stop: watch::Sender<bool>,
-    announce: impl FnOnce() + Send + 'static,
-    clean_up: impl FnOnce() + Send + 'static,
-) -> anyhow::Result<()> {
-    stop_or_exit(stop, REPEATED, announce, clean_up)
-}
-
-/// The same, but the signals that arrive within `repeated` after the first one are the same stop request.
+/// The same, with `clean_up` before the exit. Signals within `window` after the first one are the same stop request.
 pub(crate) fn stop_or_exit(
     stop: watch::Sender<bool>,
-    repeated: Duration,
+    window: Duration,
     announce: impl FnOnce() + Send + 'static,
     clean_up: impl FnOnce() + Send + 'static,
 ) -> anyhow::Result<()> {
@@ -94,9 +85,9 @@ pub(crate) fn stop_or_exit(
         stop.send_replace(true);
         if kind == SignalKind::hangup() {
             // A session that ends sends SIGHUP more than once, and SIGTERM besides.
-            requests.repeated().await;
+            requests.next_exit().await;
         }
-        let signal = requests.second(repeated).await;
+        let signal = requests.second(window).await;
         clean_up();
         std::process::exit(ENDED_BY_SIGNAL + signal.as_raw_value());
     });
@@ -231,12 +222,12 @@ impl Requests {
         })
     }
 
-    /// The signal that ends the process at once, after the first request.
-    async fn second(&mut self, repeated: Duration) -> SignalKind {
+    /// The signal that ends the process at once: the first that comes later than `window` after the stop request.
+    async fn second(&mut self, window: Duration) -> SignalKind {
         let first = Instant::now();
-        let mut second = self.repeated().await;
-        while first.elapsed() < repeated {
-            second = self.repeated().await;
+        let mut second = self.next_exit().await;
+        while first.elapsed() < window {
+            second = self.next_exit().await;
         }
         second
     }
@@ -257,7 +248,7 @@ impl Requests {
     }
 
     /// The next of the two signals that may end the process at once.
-    async fn repeated(&mut self) -> SignalKind {
+    async fn next_exit(&mut self) -> SignalKind {
         tokio::select! {
             _ = self.interrupt.recv() => SignalKind::interrupt(),
             _ = self.terminate.recv() => SignalKind::terminate(),

@@ -218,7 +218,7 @@ fn evaluated(report: &EvaluationReport) -> String {
     format!(
         "evaluation at {} steps: return {mean:.1} ± {standard_deviation:.1} ({minimum:.1} to {maximum:.1}, {})",
         chart::thousands(report.env_steps),
-        chart::counted(report.episodes as u64, "episode")
+        chart::count_of(report.episodes as u64, "episode")
     )
 }
 

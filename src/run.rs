@@ -190,17 +190,20 @@ fn configure(settings: &SettingsArguments, resumed: Option<&Path>) -> anyhow::Re
     request.resumed = Some(file);
     let new = RunConfig::of(&request)?;
     resume::check(&old, &new)?;
-    refuse_other_folder(&new, &old)?;
+    refuse_other_folder(&new, &old, folder)?;
     Ok(new)
 }
 
-/// Refuses another `run.dir` than that of the resumed run.
-fn refuse_other_folder(new: &RunConfig, old: &RunConfig) -> Result<(), ConfigError> {
-    if run_path::named(&new.resolved)? == run_path::named(&old.resolved)? {
+/// Refuses a given `run.dir` that is not the resumed run's `folder`. The run may have been moved since `old` was written.
+fn refuse_other_folder(new: &RunConfig, old: &RunConfig, folder: &Path) -> Result<(), ConfigError> {
+    let given = run_path::named(&new.resolved)?;
+    let real = |path: &Path| path.canonicalize().ok();
+    let is_same = given.as_deref().is_some_and(|given| real(given) == real(folder));
+    if is_same || given == run_path::named(&old.resolved)? {
         return Ok(());
     }
-    let detail = "a resumed run stays in its folder";
-    Err(ConfigError::refused(&new.resolved, &["run.dir"], detail))
+    let detail = format!("a resumed run stays in its folder, {}; omit run.dir", folder.display());
+    Err(ConfigError::refused(&new.resolved, &["run.dir"], &detail))
 }
 
 /// The start of a new run of `config`.

@@ -134,10 +134,10 @@ fn train([task, algorithm, core]: [&str; 3], width: Option<&str>) -> Hashes {
 
 fn hashes(folder: &Path) -> Hashes {
     let output = s2mia(None).args(["inspect", "--json"]).arg(folder).output().unwrap();
-    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(told["env_steps"], 3 * 4 * 40);
+    let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(printed["env_steps"], 3 * 4 * 40);
     let hash =
-        |of: &str| (of.to_owned(), told[format!("{of}_sha256")].as_str().unwrap().to_owned());
+        |of: &str| (of.to_owned(), printed[format!("{of}_sha256")].as_str().unwrap().to_owned());
     ["weights", "state"].map(hash).into()
 }
 

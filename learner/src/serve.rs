@@ -1,7 +1,7 @@
 //! The gRPC services and their clients, and the web page.
 
 pub(crate) mod accepting;
-pub mod health;
+pub mod client;
 pub mod listener;
 pub mod page;
 pub mod service;

@@ -39,7 +39,7 @@ impl FilmRecorder {
             return None;
         }
         capsules.extend(fixed.map(|one| (None, one)).take(MAX_CAPSULES - capsules.len()));
-        let drivers = sim::drivers(task, &pose);
+        let drivers = sim::drivers(world);
         let film = Film {
             frame_secs: task.dt_secs,
             radii: capsules.iter().map(|(_, capsule)| capsule.radius).collect(),

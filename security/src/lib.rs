@@ -15,6 +15,6 @@ pub use client::ClientTls;
 pub use error::SecurityError;
 pub use explanation::{explain, explain_rejection};
 pub use files::IdentityFiles;
-pub use role::{Denied, Role, Standing};
+pub use role::{Denied, Permissions, Role};
 pub use server::ServerTls;
 pub use token::Token;

@@ -52,9 +52,9 @@ impl fmt::Display for Role {
 
 /// Permissions of the peer of a connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum Permissions {
     /// All calls: the connection is not authenticated.
-    Unasked,
+    All,
     /// The calls that these roles permit.
     Roles(Vec<Role>),
 }
@@ -76,7 +76,7 @@ fn listed(roles: &[Role]) -> String {
     }
 }
 
-impl Standing {
+impl Permissions {
     /// Permissions of a peer with this chain of certificates, its own first.
     #[must_use]
     pub fn of_chain(chain: Option<&[CertificateDer<'_>]>) -> Self {
@@ -90,7 +90,7 @@ impl Standing {
     /// Names the required role and the peer's roles.
     pub fn demand(&self, needed: Role) -> Result<(), Denied> {
         match self {
-            Self::Unasked => Ok(()),
+            Self::All => Ok(()),
             Self::Roles(held) if held.contains(&needed) => Ok(()),
             Self::Roles(held) => Err(Denied { needed, held: held.clone() }),
         }
@@ -105,21 +105,21 @@ mod tests {
     fn each_role_permits_its_own_calls_only() {
         for needed in Role::ALL {
             for held in Role::ALL {
-                let allowed = Standing::Roles(vec![held]).demand(needed).is_ok();
+                let allowed = Permissions::Roles(vec![held]).demand(needed).is_ok();
                 assert_eq!(allowed, held == needed, "{held} as {needed}");
             }
-            assert!(Standing::Roles(Role::ALL.to_vec()).demand(needed).is_ok());
-            assert!(Standing::Unasked.demand(needed).is_ok());
-            assert!(Standing::of_chain(None).demand(needed).is_err());
+            assert!(Permissions::Roles(Role::ALL.to_vec()).demand(needed).is_ok());
+            assert!(Permissions::All.demand(needed).is_ok());
+            assert!(Permissions::of_chain(None).demand(needed).is_err());
         }
     }
 
     #[test]
     fn a_denial_names_the_role_needed_and_those_held() {
-        let denied = Standing::Roles(vec![Role::Operator]).demand(Role::Actor).unwrap_err();
+        let denied = Permissions::Roles(vec![Role::Operator]).demand(Role::Actor).unwrap_err();
         let line = "this call needs the role actor; the certificate carries operator";
         assert_eq!(denied.to_string(), line);
-        let denied = Standing::Roles(vec![]).demand(Role::Operator).unwrap_err();
+        let denied = Permissions::Roles(vec![]).demand(Role::Operator).unwrap_err();
         assert!(denied.to_string().ends_with("the certificate carries no role"));
     }
 }

@@ -279,9 +279,25 @@ impl Robot {
         hinges.chain(self.balls().flat_map(|(name, _)| self.numbers_of(name)[1].clone())).collect()
     }
 
-    /// Units of the coordinates and torques of hinges and slides, in the order of [`Self::hinges`].
-    pub fn hinge_units(&self) -> impl Iterator<Item = [&'static str; 2]> {
-        self.layout.hinges.iter().map(layout::HingeMap::units)
+    /// Whether a coordinate is of a hinge whose range suggests degrees that were read as radians.
+    pub(crate) fn has_range_in_degrees(&self, coordinate: usize) -> bool {
+        let hinges = self.layout.hinges.iter().enumerate();
+        let mut wide = hinges.filter(|(_, hinge)| hinge.has_range_in_degrees());
+        wide.any(|(index, _)| self.layout.hinge_coordinate(index) == coordinate)
+    }
+
+    /// Name of the joint, tendon or site of each actuator, and the links that it moves. Actuators on joints come first.
+    pub(crate) fn moved_links(&self) -> impl Iterator<Item = (&str, Vec<usize>)> {
+        let motors = self.blueprint.motors.iter();
+        let (own, others): (Vec<_>, Vec<_>) =
+            motors.partition(|motor| motor.tendon.is_none() && motor.thrust.is_none());
+        let motors = own.into_iter().chain(others);
+        motors.map(|motor| (motor.joint.as_str(), self.blueprint.links_of(motor).collect()))
+    }
+
+    /// Units of the coordinates of hinges and slides, in the order of [`Self::hinges`].
+    pub fn hinge_units(&self) -> impl Iterator<Item = &'static str> {
+        self.layout.hinges.iter().map(|hinge| hinge.units()[0])
     }
 
     /// Name, mass (kg) and ascending principal inertias about the centre of mass (kg m^2) of each link.

@@ -1,15 +1,30 @@
 //! Shapes and poses of links, for recordings, films and the page.
 
+use std::f32::consts::FRAC_1_SQRT_2;
 use std::sync::Arc;
 
-use proto::EnvironmentSpec;
 use rapier3d::math::{Pose as Transform, Rotation, Vector};
+
+use crate::environment_batch::EnvironmentBatch;
+use crate::robot::Robot;
 
 /// Name of the frame of what is fixed, instead of a link.
 pub const WORLD: &str = "world";
 
-/// Most capsules side by side in the drawing of a box.
+/// Most capsules side by side in the drawing of a box; thin ones have gaps between them.
 const MOST_BESIDE: f32 = 5.0;
+
+/// Corners of a regular octagon on the unit circle.
+const OCTAGON: [[f32; 2]; 8] = [
+    [1.0, 0.0],
+    [FRAC_1_SQRT_2, FRAC_1_SQRT_2],
+    [0.0, 1.0],
+    [-FRAC_1_SQRT_2, FRAC_1_SQRT_2],
+    [-1.0, 0.0],
+    [-FRAC_1_SQRT_2, -FRAC_1_SQRT_2],
+    [0.0, -1.0],
+    [FRAC_1_SQRT_2, -FRAC_1_SQRT_2],
+];
 
 /// Pose of all robots and objects of a world at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -135,7 +150,8 @@ pub struct Capsule {
 
 impl LinkShape {
     /// Capsules in the link's frame that show the shape in films. They are the shape itself for capsules and balls, and
-    /// approximate other shapes: they fill a box, a mesh's bounding box, or a cylinder, and round its edges.
+    /// approximate other shapes: they fill a box or a cylinder from within and round its edges; a flat cylinder is a ring with a
+    /// spoke. A mesh is drawn as its bounding box, an ellipsoid as a ring or bars of its size.
     #[must_use]
     pub fn capsules(&self) -> Vec<Capsule> {
         let place = |point: [f32; 3]| {
@@ -179,15 +195,14 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Agent that controls the joint of each link, or `None`.
+/// For each link of a pose the agent whose actuator moves it: one of its own joint, else one of a tendon or site.
 #[must_use]
-pub fn drivers(description: &EnvironmentSpec, pose: &Pose) -> Vec<Option<usize>> {
-    let driver = |joint: &str| {
-        description.agents.iter().position(|agent| agent.joints.iter().any(|name| name == joint))
-    };
-    let mut drivers = vec![None; pose.links.len()];
-    for joint in &pose.joints {
-        drivers[joint.link] = driver(&joint.name);
+pub fn drivers(world: &dyn EnvironmentBatch) -> Vec<Option<usize>> {
+    let mut drivers = vec![None; world.pose(0).links.len()];
+    let agents = &world.description().agents;
+    for (joint, links) in world.robot().into_iter().flat_map(Robot::moved_links) {
+        let agent = agents.iter().position(|agent| agent.joints.iter().any(|name| name == joint));
+        links.into_iter().for_each(|link| drivers[link] = drivers[link].or(agent));
     }
     drivers
 }
@@ -229,11 +244,12 @@ impl Shape {
             Self::Cylinder { half_length, radius } if half_length >= radius => {
                 along(half_length - radius, radius)
             }
-            Self::Cylinder { half_length, radius } => filled([radius, radius, half_length]),
-            Self::Box { half_sizes } | Self::Ellipsoid { half_sizes } => filled(half_sizes),
+            Self::Cylinder { half_length, radius } => wheel([radius, radius, half_length]),
+            Self::Ellipsoid { half_sizes } if is_flat(half_sizes) => wheel(half_sizes),
+            Self::Ellipsoid { half_sizes } | Self::Box { half_sizes } => bars(half_sizes),
             Self::Hull(_) => {
                 let [middle, half_sizes] = self.bounding_box();
-                let capsules = filled(half_sizes);
+                let capsules = bars(half_sizes);
                 let moved = |end: [f32; 3]| [0, 1, 2].map(|i| middle[i] + end[i]);
                 capsules.into_iter().map(|c| Capsule { ends: c.ends.map(moved), ..c }).collect()
             }
@@ -241,25 +257,46 @@ impl Shape {
     }
 }
 
-/// Parallel capsules in a box: along its longest axis, side by side along the next. Plates become thicker.
-fn filled(half_sizes: [f32; 3]) -> Vec<Capsule> {
-    let mut axes = [0, 1, 2];
-    axes.sort_by(|a, b| half_sizes[*b].total_cmp(&half_sizes[*a]));
-    let [length, width, height] = axes.map(|axis| half_sizes[axis]);
-    let radius = height.max(width / MOST_BESIDE);
-    let count = (width / radius).ceil().max(1.0);
+/// Parallel capsules in a box: along its longest axis, side by side along the next.
+fn bars(half_sizes: [f32; 3]) -> Vec<Capsule> {
+    let (axes, [length, width, radius]) = by_size(half_sizes);
+    let count = (width / radius).ceil().clamp(1.0, MOST_BESIDE);
     let capsule = |index: f32| {
-        let aside =
-            (width - radius) * if count > 1.0 { 2.0 * index / (count - 1.0) - 1.0 } else { 0.0 };
-        let end = |sign: f32| {
-            let mut point = [0.0; 3];
-            point[axes[0]] = sign * (length - radius).max(0.0);
-            point[axes[1]] = aside;
-            point
-        };
+        let aside = if count > 1.0 { 2.0 * index / (count - 1.0) - 1.0 } else { 0.0 };
+        let end = |sign: f32| placed(axes, [sign * (length - radius), (width - radius) * aside]);
         Capsule { ends: [end(-1.0), end(1.0)], radius }
     };
     (0..count as u32).map(|index| capsule(index as f32)).collect()
+}
+
+/// A ring of capsules in a disc, and one across it, which shows how it turns.
+fn wheel(half_sizes: [f32; 3]) -> Vec<Capsule> {
+    let (axes, [length, width, radius]) = by_size(half_sizes);
+    let at = |[x, y]: [f32; 2]| placed(axes, [(length - radius) * x, (width - radius) * y]);
+    let corners = OCTAGON.iter().zip(OCTAGON.iter().cycle().skip(1));
+    let ring = corners.map(|(from, to)| [at(*from), at(*to)]);
+    let across = [at([-1.0, 0.0]), at([1.0, 0.0])];
+    ring.chain([across]).map(|ends| Capsule { ends, radius }).collect()
+}
+
+/// Whether the shortest half size is less than half of the others.
+fn is_flat(half_sizes: [f32; 3]) -> bool {
+    let (_, [_, width, height]) = by_size(half_sizes);
+    2.0 * height < width
+}
+
+/// The axes from the longest to the shortest, and the half sizes along them.
+fn by_size(half_sizes: [f32; 3]) -> ([usize; 3], [f32; 3]) {
+    let mut axes = [0, 1, 2];
+    axes.sort_by(|a, b| half_sizes[*b].total_cmp(&half_sizes[*a]));
+    (axes, axes.map(|axis| half_sizes[axis]))
+}
+
+/// The point with these coordinates along the first two of the axes.
+fn placed(axes: [usize; 3], coordinates: [f32; 2]) -> [f32; 3] {
+    let mut point = [0.0; 3];
+    (point[axes[0]], point[axes[1]]) = (coordinates[0], coordinates[1]);
+    point
 }
 
 impl Hull {
@@ -283,7 +320,7 @@ mod tests {
 
     #[test]
     fn a_link_a_metre_in_front_of_its_turned_parent_is_seen_in_front_and_unturned() {
-        let half = core::f32::consts::FRAC_1_SQRT_2;
+        let half = FRAC_1_SQRT_2;
         let link = |parent, position| LinkPose {
             name: "arm".to_owned(),
             parent,
@@ -298,9 +335,31 @@ mod tests {
         assert!(found.zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{position:?}, {turn:?}");
     }
 
+    /// Whether `is_inside` holds for the absolute coordinates of each end of a capsule and its radius.
+    fn all_ends(shape: Shape, is_inside: impl Fn([f32; 3], f32) -> bool) -> bool {
+        let capsules = shape.capsules();
+        let mut ends =
+            capsules.iter().flat_map(|capsule| capsule.ends.map(|end| (end, capsule.radius)));
+        ends.all(|(end, radius)| is_inside(end.map(f32::abs), radius))
+    }
+
+    #[test]
+    fn a_wheel_and_a_table_are_drawn_within_their_surfaces() {
+        let wheel = Shape::Cylinder { half_length: 0.02, radius: 0.1 };
+        assert_eq!(wheel.capsules().len(), 9);
+        assert!(all_ends(wheel, |[x, y, z], radius| {
+            (x * x + y * y).sqrt() + radius < 0.1001 && z + radius < 0.0201
+        }));
+        let table = Shape::Box { half_sizes: [0.5, 0.4, 0.02] };
+        assert_eq!(table.capsules().len(), MOST_BESIDE as usize);
+        assert!(all_ends(table, |[x, y, z], radius| {
+            x + radius < 0.5001 && y + radius < 0.4001 && z + radius < 0.0201
+        }));
+    }
+
     #[test]
     fn a_quarter_turn_about_y_rotates_z_to_x() {
-        let half = core::f32::consts::FRAC_1_SQRT_2;
+        let half = FRAC_1_SQRT_2;
         let turned = rotated([0.0, half, 0.0, half], [0.0, 0.0, 1.0]);
         let error = turned.iter().zip([1.0, 0.0, 0.0]).map(|(a, b)| (a - b).abs()).sum::<f32>();
         assert!(error < 1e-6, "{turned:?}");

@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
 use actions::control_ranges;
-pub(crate) use definition::{Audience, TaskFile};
+pub(crate) use definition::{Around, Audience, TaskFile};
 use definition::{check_repeats, refused};
 pub(crate) use disturbance::DrawnEpisode;
 use names::Names;

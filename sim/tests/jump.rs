@@ -21,15 +21,15 @@ fn reward(game: &mut dyn EnvironmentBatch, actions: [f32; 4]) -> f32 {
 }
 
 #[test]
-fn only_a_step_in_which_all_four_agents_jump_is_paid() {
+fn only_a_step_in_which_all_four_agents_jump_is_rewarded() {
     let mut game = game();
-    for (actions, paid) in [
+    for (actions, rewarded) in [
         ([0.8; 4], 1.0),
         ([0.8, 0.8, 0.8, 0.75], 0.0),
         ([2.0, 1.0, 0.76, 9.0], 1.0),
         ([0.0; 4], 0.0),
     ] {
-        assert_eq!(reward(&mut *game, actions), paid, "{actions:?}");
+        assert_eq!(reward(&mut *game, actions), rewarded, "{actions:?}");
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use learner::serve::health::{HealthError, demand_serving};
+use learner::serve::client::{CallError, demand_serving};
 use learner::serve::service::Operator;
 use learner::store::run_folder::RunFolder;
 use proto::{LeaseStatus, LeasedWork, RunEnd, RunLine, Status};
@@ -14,7 +14,7 @@ use serde_json::json;
 
 use crate::endpoints::{ClientTlsArguments, credentials, reachable, token_for_run};
 use crate::errors::Usage;
-use crate::figures::chart::{counted, thousands};
+use crate::figures::chart::{count_of, thousands};
 use crate::process::{output, runtime, shell};
 use crate::run::stored::config_of_run;
 use crate::run::{run_path, stored};
@@ -134,10 +134,10 @@ pub(super) async fn explained(
     tls: &ClientTlsArguments,
     timeout: Duration,
 ) -> anyhow::Error {
-    let Some(HealthError::Unreachable { url, .. }) = error.downcast_ref() else { return error };
+    let Some(CallError::Unreachable { url, .. }) = error.downcast_ref() else { return error };
     let Ok(tls) = credentials(url, tls) else { return error };
     match actor::diagnosis::reason(url, tls.as_ref(), timeout).await {
-        Some(why) => HealthError::no_session(url, &why).into(),
+        Some(why) => CallError::no_session(url, &why).into(),
         None => error,
     }
 }
@@ -251,9 +251,9 @@ fn text(status: &Status) -> String {
          {complete_slots} of {} complete, {} on {}{idle}, \
          {} leased again, {} backed up, {} audited, {} messages refused{disk}",
         thousands(status.env_steps),
-        counted(*slots, "slot"),
-        counted(leases.len() as u64, "lease"),
-        counted(*actors, "actor"),
+        count_of(*slots, "slot"),
+        count_of(leases.len() as u64, "lease"),
+        count_of(*actors, "actor"),
         status.leases_reissued,
         status.slots_backed_up,
         status.audits_agreed,
@@ -268,7 +268,7 @@ fn line(lease: &LeaseStatus) -> String {
         LeasedWork::Slot(slot) => format!("slot {slot}"),
         LeasedWork::Episode(episode) => format!("episode {episode}"),
     };
-    let chunks = counted(lease.chunks.into(), "chunk");
+    let chunks = count_of(lease.chunks.into(), "chunk");
     format!("  {work}: actor {}, {chunks}, {:.1} s since the last", lease.actor, lease.still_secs)
 }
 

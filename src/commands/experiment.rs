@@ -136,7 +136,7 @@ impl ExperimentArguments {
 
 /// Signals within this time are one stop request: Slurm signals all processes of a job, and the job's script passes the
 /// signal on.
-const REPEATED: Duration = Duration::from_secs(2);
+const SIGNAL_WINDOW: Duration = Duration::from_secs(2);
 
 /// Runs what is missing and reports. The status is 0 after a stop, which leaves checkpoints, and 1 if a run failed, could not start,
 /// is damaged, or was stopped alone.
@@ -233,7 +233,7 @@ async fn bring_to_end(runs: &[PlannedRun], at_once: usize) -> anyhow::Result<(Ta
             "stopping after a checkpoint of each run; Ctrl-C again, two seconds later, ends at once",
         );
     };
-    process::stop_or_exit(stop_sender, REPEATED, announce, || ())?;
+    process::stop_or_exit(stop_sender, SIGNAL_WINDOW, announce, || ())?;
     let mut progress = ExperimentProgress::new(runs);
     let tally = scheduler::run_all(runs, at_once, stop.clone(), &mut progress).await?;
     let stopped = *stop.borrow();
@@ -278,7 +278,7 @@ fn report(file: &ExperimentFile, runs: &[PlannedRun]) -> anyhow::Result<()> {
     others.iter().for_each(|why| tracing::warn!("{why}"));
     match others.len() {
         0 => anyhow::bail!("{first}"),
-        others => anyhow::bail!("{first} ({}, too)", chart::counted(others as u64, "other run")),
+        others => anyhow::bail!("{first} ({}, too)", chart::count_of(others as u64, "other run")),
     }
 }
 

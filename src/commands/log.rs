@@ -10,7 +10,7 @@ use recording::trajectory_log::{
 };
 
 use crate::errors::{Incomplete, Usage};
-use crate::figures::chart::{counted, thousands};
+use crate::figures::chart::{count_of, thousands};
 use crate::process::output;
 use crate::progress::WorkProgress;
 use crate::run::run_path;
@@ -79,14 +79,14 @@ impl Gaps {
             return Ok(());
         }
         let mut gaps = vec![
-            format!("{} of shares that were cut off", counted(self.cut_off, "step")),
-            counted(self.lost, "lost share"),
+            format!("{} of shares that were cut off", count_of(self.cut_off, "step")),
+            count_of(self.lost, "lost share"),
         ];
         if self.missing > 0 {
-            gaps.push(format!("{} of the written ones missing", counted(self.missing, "share")));
+            gaps.push(format!("{} of the written ones missing", count_of(self.missing, "share")));
         }
         if self.endless > 0 {
-            let files = counted(self.endless, "file");
+            let files = count_of(self.endless, "file");
             gaps.push(format!("{files} without the end that states the number of shares"));
         }
         Err(Incomplete(gaps.join(", ")).into())
@@ -102,14 +102,14 @@ fn verify(path: &Path, bytes: &[u8], progress: &WorkProgress) -> anyhow::Result<
     });
     let log = in_file(path, read)?;
     let lost = match log.lost_shares() {
-        Some(lost) => format!("{} lost by the actor", counted(lost, "share")),
+        Some(lost) => format!("{} lost by the actor", count_of(lost, "share")),
         None => "its end, which states the shares that were lost, is missing".to_owned(),
     };
     progress.print(format!(
         "{}: checksums and schemas are right: {}, {}; {lost}",
         path.display(),
-        counted(log.shares, "share"),
-        counted(steps, "step"),
+        count_of(log.shares, "share"),
+        count_of(steps, "step"),
     ));
     Ok(log)
 }
@@ -129,8 +129,8 @@ fn replay(
     });
     let Replayed { shares, steps, difference, other_program } = in_file(path, replayed)?;
     let shown = path.display();
-    let shares = counted(shares, "share");
-    let steps = counted(steps, "step");
+    let shares = count_of(shares, "share");
+    let steps = count_of(steps, "step");
     progress.print(format!("{shown}: {steps} in {shares}, equal bit for bit"));
     match (difference, other_program) {
         (None, _) => Ok(()),

@@ -47,8 +47,8 @@ pub(super) fn run(arguments: &PackArguments) -> anyhow::Result<()> {
         let _removed = std::fs::remove_dir_all(&pack);
     }
     written.with_context(|| format!("{} cannot be packed", run.display()))?;
-    let iterations = chart::counted(recorded.last(), "iteration");
-    let checkpoints = chart::counted(recorded.checkpoints.len() as u64, "checkpoint");
+    let iterations = chart::count_of(recorded.last(), "iteration");
+    let checkpoints = chart::count_of(recorded.checkpoints.len() as u64, "checkpoint");
     let end = recorded.unfinished();
     output::line(format!("{shown}: {iterations}, {checkpoints}{end}"));
     output::line(format!("next:\n  s2mia verify {}", shell::path(&pack)));

@@ -53,7 +53,7 @@ pub(super) fn as_table(task: &EnvironmentSpec) -> String {
     let mut text = format!(
         "{}: {}, state {}, {} steps of {} s\n",
         task.task,
-        chart::counted(task.agents.len() as u64, "agent"),
+        chart::count_of(task.agents.len() as u64, "agent"),
         task.state.len(),
         task.episode_steps,
         task.dt_secs
@@ -197,18 +197,18 @@ fn links(robot: &Robot) -> String {
 
 /// Limits, control range and largest torque of each joint.
 fn joints(robot: &Robot) -> String {
-    let line = |((name, range), [unit, newtons]): ((&str, Option<[f32; 2]>), [&str; 2])| {
+    let line = |((name, range), unit): ((&str, Option<[f32; 2]>), &str)| {
         let range = match range {
             Some([low, high]) => format!("{low} to {high} {unit}"),
             None => "no limits".to_owned(),
         };
-        format!("joint {name:<16} {range}, {}", motors_of(robot, name, newtons))
+        format!("joint {name:<16} {range}, {}", motors_of(robot, name))
     };
     let names = robot.hinges().map(|(name, _)| name);
     let joints = names.zip(robot.limits_in_qpos()).zip(robot.hinge_units()).map(line);
     let balls = robot.balls().map(|(name, largest)| {
         let range = largest.map_or("no limits".to_owned(), |most| format!("up to {most} rad"));
-        format!("ball  {name:<16} {range}, {}", motors_of(robot, name, "N m"))
+        format!("ball  {name:<16} {range}, {}", motors_of(robot, name))
     });
     let is_other = |actuator: &Actuator<'_>| {
         let joints = robot.hinges().map(|(name, _)| name);
@@ -217,10 +217,10 @@ fn joints(robot: &Robot) -> String {
     let others = robot.actuators().filter(is_other).map(|actuator| {
         let name = actuator.joint;
         match actuator.pushed {
-            Some((link, unit)) => format!("site  {name:<16} of {link}, {}", motor(&actuator, unit)),
+            Some(link) => format!("site  {name:<16} of {link}, {}", motor(&actuator)),
             None => {
                 let moved = actuator.moved.join(", ");
-                format!("tendon {name:<15} moves {moved}, {}", motor(&actuator, "N"))
+                format!("tendon {name:<15} moves {moved}, {}", motor(&actuator))
             }
         }
     });
@@ -228,14 +228,15 @@ fn joints(robot: &Robot) -> String {
 }
 
 /// The motors of a joint.
-fn motors_of(robot: &Robot, joint: &str, newtons: &str) -> String {
+fn motors_of(robot: &Robot, joint: &str) -> String {
     let of_joint = robot.actuators().filter(|actuator| actuator.joint == joint);
-    let motors: Vec<String> = of_joint.map(|actuator| motor(&actuator, newtons)).collect();
+    let motors: Vec<String> = of_joint.map(|actuator| motor(&actuator)).collect();
     if motors.is_empty() { "no motor".to_owned() } else { motors.join("; ") }
 }
 
 /// Kind, largest torque and control range of an actuator, and its name if that is not its joint's.
-fn motor(actuator: &Actuator<'_>, newtons: &str) -> String {
+fn motor(actuator: &Actuator<'_>) -> String {
+    let newtons = actuator.unit;
     let kind = match actuator.torque {
         Torque::Motor(largest) => format!("motor up to {largest} {newtons}"),
         Torque::Servo(Some(largest)) => format!("servo, at most {largest} {newtons}"),

@@ -96,7 +96,7 @@ fn opening(config: &RunConfig, task: &str, folder: &Path) -> String {
         folder.display(),
         config.resolved.text("algorithm"),
         config.run.seed,
-        chart::counted(config.actors() as u64, "actor"),
+        chart::count_of(config.actors() as u64, "actor"),
         chart::thousands(config.env_steps()),
     )
 }
@@ -151,7 +151,7 @@ impl Closing<'_> {
         format!(
             "\n{done}: {} env steps, {}, {} in this session",
             chart::thousands(self.summary.env_steps),
-            chart::counted(self.summary.iteration, "iteration"),
+            chart::count_of(self.summary.iteration, "iteration"),
             chart::duration(self.elapsed.as_secs_f64()),
         )
     }
@@ -193,11 +193,11 @@ fn logged(logs: &Path) -> String {
     };
     format!(
         "logged {} in {} of episodes to {}; {} lost, {} not finished and not counted",
-        chart::counted(sum("steps"), "step"),
-        chart::counted(sum("shares"), "share"),
+        chart::count_of(sum("steps"), "step"),
+        chart::count_of(sum("shares"), "share"),
         logs.display(),
-        chart::counted(sum("lost_shares"), "share"),
-        chart::counted((logged.len() - finished.len()) as u64, "file"),
+        chart::count_of(sum("lost_shares"), "share"),
+        chart::count_of((logged.len() - finished.len()) as u64, "file"),
     )
 }
 

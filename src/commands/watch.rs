@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use learner::serve::health::HealthError;
+use learner::serve::client::CallError;
 use learner::serve::service::WatchedLines;
 use proto::{EvaluationSummary, RunEnd, RunLine};
 use serde_json::json;
@@ -131,9 +131,8 @@ impl<'a> Watch<'a> {
 
 /// Whether another try would end in the same way.
 fn is_final(error: &anyhow::Error) -> bool {
-    let refused = |error: &HealthError| {
-        matches!(error, HealthError::Final(_) | HealthError::InvalidUrl { .. })
-    };
+    let refused =
+        |error: &CallError| matches!(error, CallError::Final(_) | CallError::InvalidUrl { .. });
     error.is::<Usage>() || error.downcast_ref().is_some_and(refused)
 }
 

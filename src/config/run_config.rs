@@ -18,6 +18,8 @@ use crate::run::start;
 
 /// More actor processes than this on one machine are a mistake.
 const ACTORS_LIMIT: usize = 1024;
+/// Most environment steps of a run: numbers of JSON are exact up to it, so the metrics count each.
+const MOST_STEPS: u64 = 1 << 53;
 
 /// The section `run`.
 #[derive(Clone, Debug, Deserialize)]
@@ -170,6 +172,9 @@ impl RunConfig {
         self.policy.validate()?;
         self.training.validate()?;
         self.learner.validate()?;
+        let iteration = self.learner.environments.steps_per_iteration();
+        between("run.env_steps", self.run.env_steps, 0, MOST_STEPS)?;
+        between("run.iterations", self.run.iterations, 0, MOST_STEPS / iteration)?;
         rules::numbers(self)
     }
 
@@ -241,7 +246,7 @@ impl RunConfig {
 
     /// Environment steps of the whole run.
     pub(crate) fn env_steps(&self) -> u64 {
-        self.iterations().saturating_mul(self.learner.environments.steps_per_iteration())
+        self.iterations() * self.learner.environments.steps_per_iteration()
     }
 
     /// Actor processes on this machine.

@@ -20,7 +20,7 @@ use super::{EVALUATIONS, EVERY_STEPS, PlannedRun};
 use crate::config::keys::{EVALUATED, SAMPLED};
 use crate::config::run_config::RunConfig;
 use crate::errors::Usage;
-use crate::figures::chart::{counted, thousands};
+use crate::figures::chart::{count_of, thousands};
 use crate::figures::learning_curve::{Curve, Quantity};
 use crate::process::target::Target;
 use crate::run::recorded::all_lines;
@@ -85,14 +85,14 @@ impl Record {
         }
         let mut record = Self::default();
         for (line, number) in lines.filter(|(line, _)| !line.is_empty()) {
-            let taken = record.take(line);
+            let taken = record.add_line(line);
             taken.with_context(|| format!("{}, line {number}, `{line}`", path.display()))?;
         }
         Ok(record)
     }
 
     /// Adds one line.
-    fn take(&mut self, line: &str) -> anyhow::Result<()> {
+    fn add_line(&mut self, line: &str) -> anyhow::Result<()> {
         let fields: Vec<&str> = line.split(',').collect();
         let [
             task,
@@ -131,7 +131,7 @@ impl Record {
     /// Whether the record contains the planned run with the same settings and all its evaluations.
     pub(crate) fn holds(&self, run: &PlannedRun) -> bool {
         self.0.get(&name(run)).is_some_and(|known| {
-            lost(&known.evaluations, &run.config).is_none()
+            missing_evaluation(&known.evaluations, &run.config).is_none()
                 && settings_sha256(&run.config) == known.origin.settings_sha256
         })
     }
@@ -155,7 +155,7 @@ impl Record {
         } else if recorded > planned {
             format!("with {} steps, more than are planned", thousands(recorded))
         } else if recorded == planned {
-            return damaged(&lost(&known.evaluations, &run.config)?);
+            return damaged(&missing_evaluation(&known.evaluations, &run.config)?);
         } else {
             return None;
         };
@@ -168,7 +168,7 @@ impl Record {
         let Some(first) = conflicts.next() else { return Ok(()) };
         let others = match conflicts.count() {
             0 => String::new(),
-            others => format!(" ({}, too)", counted(others as u64, "other run")),
+            others => format!(" ({}, too)", count_of(others as u64, "other run")),
         };
         Err(Usage::new(format!("{}: {first}{others}", path.display())))
     }
@@ -276,7 +276,7 @@ pub(crate) fn place(path: &Path) -> anyhow::Result<Target> {
 /// # Errors
 /// Names the run's metrics and the evaluation.
 pub(crate) fn demand_whole(run: &PlannedRun, curve: &Curve) -> anyhow::Result<()> {
-    match lost(&evaluations(curve), &run.config) {
+    match missing_evaluation(&evaluations(curve), &run.config) {
         None => Ok(()),
         Some(what) => bail!("{} has no {what}", run.folder.join(METRICS).display()),
     }
@@ -285,7 +285,7 @@ pub(crate) fn demand_whole(run: &PlannedRun, curve: &Curve) -> anyhow::Result<()
 /// The first evaluation that a run of these settings should have and that is not among these; `None` if all are. One is at the
 /// start, one at the end, and one after the iteration that passes the end of an interval. A run that became longer may have other
 /// ones before, if none follows another later than those of the new interval.
-fn lost(evaluations: &[Evaluation], config: &RunConfig) -> Option<String> {
+fn missing_evaluation(evaluations: &[Evaluation], config: &RunConfig) -> Option<String> {
     let (schedule, end) = (&config.learner.evaluation, config.env_steps());
     let iteration = config.learner.environments.steps_per_iteration();
     let is_due = |number: &u64| schedule.is_due(*number, iteration, config.iterations());

@@ -157,7 +157,7 @@ pub(crate) fn listing(runs: &[PlannedRun], record: &Record, at_once: usize) -> S
     };
     let total = runs.iter().map(|run| run.config.env_steps()).sum();
     let lines: String = runs.iter().map(line).collect();
-    let (runs, steps) = (chart::counted(runs.len() as u64, "run"), chart::thousands(total));
+    let (runs, steps) = (chart::count_of(runs.len() as u64, "run"), chart::thousands(total));
     format!("{lines}{runs}, {steps} steps, {at_once} at once")
 }
 

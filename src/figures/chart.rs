@@ -80,7 +80,7 @@ pub(crate) fn thousands(count: u64) -> String {
 }
 
 /// A count with its noun: `1 actor`, `1,000 actors`.
-pub(crate) fn counted(count: u64, noun: &str) -> String {
+pub(crate) fn count_of(count: u64, noun: &str) -> String {
     let ending = if count == 1 { "" } else { "s" };
     format!("{} {noun}{ending}", thousands(count))
 }
@@ -122,7 +122,7 @@ mod tests {
         assert_eq!(thousands(0), "0");
         assert_eq!(thousands(999), "999");
         assert_eq!(thousands(1_000_000), "1,000,000");
-        let counts = [0, 1, 1_000].map(|count| counted(count, "lost share"));
+        let counts = [0, 1, 1_000].map(|count| count_of(count, "lost share"));
         assert_eq!(counts, ["0 lost shares", "1 lost share", "1,000 lost shares"]);
         assert_eq!(duration(42.4), "42s");
         assert_eq!(duration(187.0), "3m07s");

@@ -363,7 +363,7 @@ fn labels(groups: &Groups<'_>) -> BTreeMap<String, String> {
         match (fewest, most, seeds.first()) {
             (_, 1, Some(seed)) if seeds.len() == 1 => format!("{name} (seed {seed})"),
             (fewest, most, _) if fewest == most => {
-                format!("{name} ({})", chart::counted(most as u64, "seed"))
+                format!("{name} ({})", chart::count_of(most as u64, "seed"))
             }
             _ => format!("{name} ({fewest} to {most} seeds)"),
         }

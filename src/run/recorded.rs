@@ -124,7 +124,7 @@ impl Recorded {
         if self.last() >= whole {
             return String::new();
         }
-        let whole = chart::counted(whole, "iteration");
+        let whole = chart::count_of(whole, "iteration");
         format!("; its settings have {whole}, so it was stopped, or its records were cut off")
     }
 

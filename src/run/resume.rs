@@ -69,7 +69,7 @@ fn fixed(
 
 /// Length of a run in iterations, with `run.env_steps` if that setting determines it.
 fn length(config: &RunConfig) -> String {
-    let iterations = chart::counted(config.iterations(), "iteration");
+    let iterations = chart::count_of(config.iterations(), "iteration");
     match config.run.iterations {
         0 => format!("{iterations} (run.env_steps = {})", config.run.env_steps),
         _ => iterations,

@@ -27,7 +27,15 @@ use crate::run::{BUILD, build_of};
 pub(crate) fn settings_of_run(folder: &Path) -> Result<(PathBuf, RunConfig), ConfigError> {
     let own = own_settings(folder);
     let Err(why) = own else { return own.map(|config| (folder.join(CONFIG), config)) };
-    let Ok(loaded) = learner::store::checkpoint::load_newest(folder) else { return Err(why) };
+    let loaded = match learner::store::checkpoint::load_newest(folder) {
+        Ok(loaded) => loaded,
+        Err(CheckpointError::None { .. }) if is_of_this_build(folder) => {
+            let remedy =
+                "no checkpoint has a copy: restore the file, or begin the run in another folder";
+            return Err(ConfigError::Other(format!("{why}; {remedy}")));
+        }
+        Err(_) => return Err(why),
+    };
     let copy = loaded.path.join(learner::store::checkpoint::SETTINGS);
     let config = settings_in(&copy).map_err(|_| why.clone())?;
     tracing::warn!("{why}; the settings in {} are used", copy.display());
@@ -187,6 +195,11 @@ fn unchanged(file: &Path, folder: &Path, config: RunConfig) -> Result<RunConfig,
     }
 }
 
+/// Whether the run in `folder` is not known to be of another version or commit.
+fn is_of_this_build(folder: &Path) -> bool {
+    RunFolder::recorded(folder).is_none_or(|manifest| build_of(&manifest) == BUILD)
+}
+
 /// Explains a key in a run's own settings that this program does not know, if another version or commit made the run.
 fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
     let (ConfigError::UnknownKey { place, key, .. }, Some(manifest)) =
@@ -194,7 +207,7 @@ fn of_another_version(folder: &Path, error: ConfigError) -> ConfigError {
     else {
         return error;
     };
-    if build_of(&manifest) == BUILD {
+    if is_of_this_build(folder) {
         return error;
     }
     let recorded = |field: &str| manifest[field].as_str().unwrap_or("unknown").to_owned();

@@ -117,7 +117,9 @@ impl<'a> Verifier<'a> {
         let (stop_sender, folder) = (stop.0.clone(), scratch.0.clone());
         let announce = || output::error("stopping");
         let clean_up = move || remove(&folder);
-        runtime.block_on(async { process::clean_up_on_signal(stop_sender, announce, clean_up) })?;
+        runtime.block_on(async {
+            process::stop_or_exit(stop_sender, process::SIGNAL_WINDOW, announce, clean_up)
+        })?;
         Ok(Self { recorded, at, runtime, stop, scratch })
     }
 

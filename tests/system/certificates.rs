@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use crate::processes::{Background, Learner};
 use crate::runs::{
-    Runs, SHORT, command, failure, inspect, refused, s2mia, succeeded, text, told, under, words,
+    Runs, SHORT, command, failure, inspect, outcome, refused, s2mia, succeeded, text, under, words,
 };
 use proto::wire::learner_service_client::LearnerServiceClient;
 use proto::wire::policy_service_client::PolicyServiceClient;
@@ -66,7 +66,7 @@ fn learner(folder: &Path, tls: &[String]) -> Learner {
 
 /// Exit status and output of a question with TLS options.
 fn asked(question: &[&str], tls: &[String]) -> (Option<i32>, String) {
-    told(s2mia(&[question, &words(tls)[..]].concat()))
+    outcome(s2mia(&[question, &words(tls)[..]].concat()))
 }
 
 fn act(url: &str, tls: &[String]) -> (Option<i32>, String) {

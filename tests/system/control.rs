@@ -34,10 +34,10 @@ fn a_stop_without_the_token_is_refused_and_the_run_continues() {
     assert_eq!(std::fs::metadata(&token).unwrap().permissions().mode() & 0o777, 0o600);
     for order in [&["stop", &url][..], &["actor", "--learner", &url]] {
         let answer = s2mia(order);
-        let told = error(&answer);
-        let line = told.lines().last().unwrap();
-        assert_eq!(answer.status.code(), Some(1), "{told}");
-        assert!(line.contains("has no token") && line.contains(text(&token)), "{told}");
+        let printed = error(&answer);
+        let line = printed.lines().last().unwrap();
+        assert_eq!(answer.status.code(), Some(1), "{printed}");
+        assert!(line.contains("has no token") && line.contains(text(&token)), "{printed}");
     }
     assert_eq!(status(&url)["state"], "running", "the status needs no token");
     succeeded(&["stop", text(&folder)]);
@@ -95,14 +95,14 @@ fn waiting_for_a_learner_is_reported_once_with_its_reason() {
     let mut watch = Background::start(&mut command(&["watch", of, "--max-outage-secs", "1.5"]));
     // The first line shows that the watcher has met the learner.
     watch.line();
-    let told = learner.stop();
+    let printed = learner.stop();
     // The requests of actors that wait for work end without a refusal.
-    assert!(!told.contains("lease_slots from "), "{told}");
+    assert!(!printed.contains("lease_slots from "), "{printed}");
     assert_eq!(watch.end().0, Some(1));
-    let told = watch.log();
-    let lines: Vec<&str> = told.lines().collect();
+    let printed = watch.log();
+    let lines: Vec<&str> = printed.lines().collect();
     let why = format!("the learner of {of} has ended; `s2mia train --resume {of}` starts one");
-    assert!(lines[0].contains("waiting up to 1.5 s (--max-outage-secs)"), "{told}");
+    assert!(lines[0].contains("waiting up to 1.5 s (--max-outage-secs)"), "{printed}");
     assert_eq!(lines[1..], [format!("error: {why}")]);
 }
 

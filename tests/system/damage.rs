@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use crate::runs::{Runs, error, inspect, json, metrics, succeeded, text, tiny, train, warned};
+use crate::runs::{
+    Runs, error, inspect, json, metrics, refused, succeeded, text, tiny, train, warned,
+};
 
 fn resume(folder: &Path) -> String {
     warned(&["train", "--resume", text(folder), "run.iterations=4"])
@@ -25,9 +27,9 @@ fn a_damaged_config_is_replaced_by_the_checkpoints_copy_and_a_resume_restores_it
         (changed, "these are not the run's settings"),
     ] {
         std::fs::write(&config, &damaged).unwrap();
-        let told = warned(&eval);
-        assert!(told.contains(why), "{told}");
-        assert!(told.contains("iter_00000002/config.toml are used"), "{told}");
+        let printed = warned(&eval);
+        assert!(printed.contains(why), "{printed}");
+        assert!(printed.contains("iter_00000002/config.toml are used"), "{printed}");
         assert_eq!(succeeded(&eval), played);
     }
     resume(&folder);
@@ -38,6 +40,10 @@ fn a_damaged_config_is_replaced_by_the_checkpoints_copy_and_a_resume_restores_it
     let restored = std::fs::read_to_string(&config).unwrap();
     assert_eq!(restored.replace("iterations = 4", "iterations = 2"), good);
     assert_eq!(inspect(&folder)["iteration"], 4);
+    std::fs::remove_file(&config).unwrap();
+    std::fs::remove_dir_all(folder.join("checkpoints")).unwrap();
+    let line = refused(&["train", "--resume", text(&folder)]);
+    assert!(line.contains("no checkpoint has a copy: restore the file"), "{line}");
 }
 
 #[test]
@@ -64,8 +70,8 @@ fn a_damaged_manifest_is_reported_and_written_again() {
             None => std::fs::remove_file(&manifest).unwrap(),
         }
         let length = format!("run.iterations={iterations}");
-        let told = warned(&["train", "--resume", text(&folder), &length]);
-        assert!(told.contains("the manifest is written again"), "{told}");
+        let printed = warned(&["train", "--resume", text(&folder), &length]);
+        assert!(printed.contains("the manifest is written again"), "{printed}");
         let written = json(&manifest);
         assert_eq!((&written["seed"], &written["foreign_actors"]), (&7.into(), &().into()));
     }
@@ -86,16 +92,19 @@ fn a_resume_of_a_whole_run_warns_of_nothing_and_names_what_another_has_lost() {
     let without_second = lines.lines().enumerate().filter(|(index, _)| *index != 1);
     let left: Vec<&str> = without_second.map(|(_, line)| line).collect();
     std::fs::write(&provenance, format!("{}\n", left.join("\n"))).unwrap();
-    let told = resume(&folder);
-    assert!(told.contains("provenance.jsonl has no lines of iterations 2"), "{told}");
+    let printed = resume(&folder);
+    assert!(printed.contains("provenance.jsonl has no lines of iterations 2"), "{printed}");
     std::fs::write(&provenance, format!("{lines}half a line\n")).unwrap();
-    let told = resume(&folder);
-    assert!(told.contains("provenance.jsonl has 1 damaged line, which is moved to"), "{told}");
+    let printed = resume(&folder);
+    assert!(
+        printed.contains("provenance.jsonl has 1 damaged line, which is moved to"),
+        "{printed}"
+    );
     let kept = std::fs::read_to_string(folder.join("provenance.jsonl.damaged")).unwrap();
     assert_eq!(kept, "half a line\n");
     std::fs::remove_dir_all(folder.join("checkpoints/iter_00000004")).unwrap();
-    let told = resume(&folder);
-    assert!(told.contains("the checkpoint of iteration 4 is lost"), "{told}");
+    let printed = resume(&folder);
+    assert!(printed.contains("the checkpoint of iteration 4 is lost"), "{printed}");
     assert_eq!(resume(&folder), "");
 }
 
@@ -120,8 +129,11 @@ fn a_full_disk_at_a_step_of_a_checkpoint_does_not_affect_training_and_it_is_retr
         let folder = runs.folder(step);
         let mut run = tiny("train", &folder, &length);
         let ended = run.env("S2MIA_FAIL_AT", format!("{step}@2")).output().unwrap();
-        let told = error(&ended);
-        assert!(ended.status.success() && told.contains("checkpoint failed"), "{step}: {told}");
+        let printed = error(&ended);
+        assert!(
+            ended.status.success() && printed.contains("checkpoint failed"),
+            "{step}: {printed}"
+        );
         assert_eq!(inspect(&folder)["state_sha256"], inspect(&quiet)["state_sha256"], "{step}");
         let iterations = metrics(&folder, "iteration");
         let failed = iterations.iter().map(|line| line["checkpoints_failed"].as_f64().unwrap());

@@ -225,21 +225,21 @@ fn a_run_can_be_resumed_only_in_its_environment() {
     assert!(succeeded(&["record", path]).contains("50 steps"));
     let elsewhere = CueService::start(Faults::NONE);
     let there = ["--environment", elsewhere.url.as_str()];
-    let told = |command: &str| error(&s2mia(&[command, path]));
-    let line = told("film");
+    let stderr_of = |command: &str| error(&s2mia(&[command, path]));
+    let line = stderr_of("film");
     assert!(line.contains("its description has no shapes") && line.lines().count() == 1, "{line}");
     let recording = folder.join("logs/iter_00000004.mcap");
     let line = error(&s2mia(&["log", "--replay", text(&recording)]));
     assert!(line.contains("its environment is another program's") && line.lines().count() == 1);
     let address = moved.url.trim_start_matches("http://").to_owned();
     drop(moved);
-    let line = told("eval");
+    let line = stderr_of("eval");
     assert!(line.contains("does not answer"), "{line}");
     let again = succeeded(&[&["eval", path, "--episodes", "1", "--json"], &there[..]].concat());
     assert_eq!(again, evaluated);
     assert!(succeeded(&[&["verify", path][..], &there].concat()).contains("is verified"));
     let _other = CueService::start_at(&address, OTHER);
-    let line = told("eval");
+    let line = stderr_of("eval");
     assert!(line.contains("the run's environment is one with the description"), "{line}");
 }
 

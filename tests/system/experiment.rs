@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 use serde_json::Value;
 
 use crate::processes::{Background, until};
-use crate::runs::{command, error, inspect, succeeded, text, told};
+use crate::runs::{command, error, inspect, outcome, succeeded, text};
 
 /// Options with which all runs are started, two at a time.
 const ALL: [&str; 2] = ["--jobs", "2"];
@@ -64,7 +64,7 @@ impl Experiment {
 
     /// Runs the command with success; returns its output.
     fn run(&self, more: &[&str]) -> String {
-        let (status, text) = told(self.command(more).output().unwrap());
+        let (status, text) = outcome(self.command(more).output().unwrap());
         assert_eq!(status, Some(0), "{text}");
         text
     }
@@ -109,17 +109,17 @@ fn undisturbed() -> &'static [Value] {
 }
 
 /// The rows of the printed table.
-fn table(told: &str) -> Vec<&str> {
-    told.lines().filter(|line| line.starts_with('|')).collect()
+fn table(printed: &str) -> Vec<&str> {
+    printed.lines().filter(|line| line.starts_with('|')).collect()
 }
 
 #[test]
 fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing_without_folders() {
     let experiment = Experiment::new();
-    let told = experiment.run(&ALL);
+    let printed = experiment.run(&ALL);
     assert!(
-        told.contains("3 of 3 runs are finished") && told.contains("| cue-2x1 | short | 2 |"),
-        "{told}"
+        printed.contains("3 of 3 runs are finished") && printed.contains("| cue-2x1 | short | 2 |"),
+        "{printed}"
     );
     for name in ["results.md", "learning_curve.png", "learning_curve.svg", "ablation.png"] {
         assert!(experiment.folder().join(name).is_file(), "{name}");
@@ -148,7 +148,7 @@ fn an_experiment_records_its_runs_writes_a_table_and_figures_and_repeats_nothing
     let again = experiment.run(&ALL);
     assert!(again.contains("3 of 3 runs are finished"), "{again}");
     assert!(!again.contains(" is finished\n"), "{again}");
-    assert_eq!(table(&again), table(&told));
+    assert_eq!(table(&again), table(&printed));
     assert_eq!(experiment.record(), record);
 }
 
@@ -164,10 +164,10 @@ fn a_finished_run_that_lost_evaluations_is_named_and_left_out_and_one_without_a_
     let metrics = experiment.folder().join("cue-2x1-short-seed0/metrics.jsonl");
     let whole = std::fs::read_to_string(&metrics).unwrap();
     std::fs::write(&metrics, whole.lines().last().unwrap().to_owned() + "\n").unwrap();
-    let (status, told) = told(experiment.command(&ALL).output().unwrap());
-    assert_eq!(status, Some(1), "{told}");
+    let (status, printed) = outcome(experiment.command(&ALL).output().unwrap());
+    assert_eq!(status, Some(1), "{printed}");
     let why = "cue-2x1-short-seed0/metrics.jsonl has no evaluation at 0 steps: the report leaves this run out; restore the file";
-    assert!(told.contains(why) && told.contains("2 of 3 runs are finished"), "{told}");
+    assert!(printed.contains(why) && printed.contains("2 of 3 runs are finished"), "{printed}");
     let seed0 = |line: &&str| !line.starts_with("cue-2x1,short,0,");
     assert!(experiment.record().lines().eq(record.lines().filter(seed0)));
     std::fs::write(&metrics, whole).unwrap();
@@ -190,14 +190,18 @@ fn a_finished_run_that_lost_evaluations_is_named_and_left_out_and_one_without_a_
 fn a_stopped_or_killed_experiment_ends_with_the_same_weights() {
     for (signal, expected) in [("-TERM", Some(0)), ("-KILL", None), (STOP, Some(1))] {
         let experiment = Experiment::new();
-        let (status, told) = experiment.end_after_its_first_run(signal);
-        assert_eq!(status, expected, "{told}");
-        assert_eq!(told.contains("resume with `s2mia experiment"), signal == "-TERM", "{told}");
-        assert_eq!(told.contains("1 of 3 runs were stopped"), signal == STOP, "{told}");
+        let (status, printed) = experiment.end_after_its_first_run(signal);
+        assert_eq!(status, expected, "{printed}");
+        assert_eq!(
+            printed.contains("resume with `s2mia experiment"),
+            signal == "-TERM",
+            "{printed}"
+        );
+        assert_eq!(printed.contains("1 of 3 runs were stopped"), signal == STOP, "{printed}");
         // Each run has its own folder, whatever the environment says.
         let again = experiment.command(&ALL).env("S2MIA__RUN__DIR", "elsewhere").output().unwrap();
-        let (status, told) = crate::runs::told(again);
-        assert!(status == Some(0) && told.contains("3 of 3 runs are finished"), "{told}");
+        let (status, printed) = crate::runs::outcome(again);
+        assert!(status == Some(0) && printed.contains("3 of 3 runs are finished"), "{printed}");
         assert_eq!(experiment.hashes(), undisturbed(), "{signal}");
     }
 }
@@ -208,9 +212,9 @@ fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
     let absent = experiment.command(&["--only", "3"]).output().unwrap();
     assert_eq!(absent.status.code(), Some(2), "{}", error(&absent));
     let one = ["--jobs", "1", "--shard"];
-    let told = experiment.run(&[&one[..], &["0/2"]].concat());
-    assert_eq!(told.matches(" is finished\n").count(), 2, "{told}");
-    assert!(told.contains("2 of 2 selected runs are finished; when all runs are"), "{told}");
+    let printed = experiment.run(&[&one[..], &["0/2"]].concat());
+    assert_eq!(printed.matches(" is finished\n").count(), 2, "{printed}");
+    assert!(printed.contains("2 of 2 selected runs are finished; when all runs are"), "{printed}");
     assert!(!experiment.folder().join("results.md").exists());
     let second = [&one[..], &["1/2"]].concat();
     let mut process = Background::start(&mut experiment.command(&second));
@@ -219,11 +223,11 @@ fn a_shard_that_is_stopped_resumes_and_all_shards_together_make_the_report() {
     // A cluster signals all processes of a job, and the job's script passes the signal on.
     process.signal("-TERM");
     process.signal("-TERM");
-    let told = process.rest().join("\n");
+    let printed = process.rest().join("\n");
     let resume = format!("resume with `s2mia experiment {} --shard 1/2`", experiment.file);
-    assert!(told.contains(&resume), "{told}");
-    let told = experiment.run(&["--only", "1"]);
-    assert!(told.contains("3 of 3 runs are finished"), "{told}");
+    assert!(printed.contains(&resume), "{printed}");
+    let printed = experiment.run(&["--only", "1"]);
+    assert!(printed.contains("3 of 3 runs are finished"), "{printed}");
     assert!(experiment.folder().join("results.md").exists());
     assert_eq!(experiment.hashes(), undisturbed());
 }
@@ -266,16 +270,16 @@ fn a_run_whose_folder_contains_another_run_fails_with_advice_and_the_others_cont
     std::fs::create_dir_all(&wrong).unwrap();
     std::fs::write(wrong.join("config.toml"), "no_such_key = 1\n").unwrap();
     std::fs::write(wrong.join("manifest.json"), "{}\n").unwrap();
-    let (status, told) = told(experiment.command(&[]).output().unwrap());
-    assert_eq!(status, Some(1), "{told}");
+    let (status, printed) = outcome(experiment.command(&[]).output().unwrap());
+    assert_eq!(status, Some(1), "{printed}");
     assert!(
-        told.contains("cue-2x1-short-seed0 cannot begin: ") && told.contains("`no_such_key`"),
-        "{told}"
+        printed.contains("cue-2x1-short-seed0 cannot begin: ") && printed.contains("`no_such_key`"),
+        "{printed}"
     );
-    assert!(told.contains("2 of 3 runs are finished"), "{told}");
+    assert!(printed.contains("2 of 3 runs are finished"), "{printed}");
     let what_to_do = "the folders of 1 of 3 runs hold runs with other settings; restore the settings, or give \
                       the experiment another `folder`";
-    assert!(told.contains(what_to_do) && !told.contains("retries them"), "{told}");
+    assert!(printed.contains(what_to_do) && !printed.contains("retries them"), "{printed}");
 }
 
 /// The finished runs in a record: the last row of each has the hash of its settings.
@@ -305,6 +309,7 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("study-preset-paper.toml", "18 runs, 18,000,000 steps", 18),
         ("study.toml", "180 runs, 180,000,000 steps", 180),
         ("study-hasac.toml", "20 runs, 2,000,000 steps", runs_in("docs/study-hasac.csv")),
+        ("study-hasac-300k.toml", "20 runs, 6,000,000 steps", runs_in("docs/study-hasac-300k.csv")),
         ("study-hasac-ant.toml", "5 runs, 500,000 steps", runs_in("docs/study-hasac-ant.csv")),
         ("study-mujoco.toml", "117 runs, 117,000,000 steps", runs_in("docs/study-mujoco.csv")),
         (
@@ -319,9 +324,9 @@ fn the_experiments_of_the_repository_list_their_runs_and_find_the_finished_ones_
         ("worlds.toml", "38 runs, 38,000,000 steps", runs_in("docs/study-worlds.csv")),
         ("signal.toml", "90 runs, 18,000,000 steps", 90),
     ] {
-        let told = succeeded(&["experiment", text(&folder.join(name)), "--list"]);
-        assert!(told.lines().last().unwrap().starts_with(all), "{told}");
-        let found = told.lines().filter(|line| line.ends_with(" recorded")).count();
-        assert_eq!(found, recorded, "{name}: {told}");
+        let printed = succeeded(&["experiment", text(&folder.join(name)), "--list"]);
+        assert!(printed.lines().last().unwrap().starts_with(all), "{printed}");
+        let found = printed.lines().filter(|line| line.ends_with(" recorded")).count();
+        assert_eq!(found, recorded, "{name}: {printed}");
     }
 }

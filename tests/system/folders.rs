@@ -20,9 +20,9 @@ fn a_checkpoint_is_read_in_the_place_of_a_run_and_no_run_starts_in_it() {
     assert!(succeeded(&["eval", text(&first), "--episodes", "1"]).contains("evaluation-1-0"));
     assert!(succeeded(&["status", text(&first)]).contains("my run is finished"));
     for named in [&[][..], &[text(&run)]] {
-        let told =
+        let printed =
             succeeded(&[&["inspect", "--json", "--checkpoint", text(&first)], named].concat());
-        assert_eq!(serde_json::from_str::<serde_json::Value>(&told).unwrap(), before);
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&printed).unwrap(), before);
     }
     succeeded(&["film", text(&first), "--frames", "1"]);
     succeeded(&["record", text(&first)]);
@@ -56,6 +56,40 @@ fn a_run_starts_in_a_folder_with_files_of_others_only_on_request() {
     assert_eq!(folder.read_dir().unwrap().count(), 1);
     train(&folder, &[&ONE[..], &["--force"]].concat());
     assert!(folder.join("manifest.json").is_file() && folder.join("thesis.tex").is_file());
+}
+
+#[test]
+fn a_run_that_was_moved_is_resumed_where_run_dir_names_its_folder_in_any_way() {
+    let runs = Runs::new();
+    let [first, moved, link] = ["first", "moved", "link"].map(|name| runs.folder(name));
+    train(&first, &ONE);
+    std::fs::rename(&first, &moved).unwrap();
+    std::os::unix::fs::symlink(&moved, &link).unwrap();
+    for (iterations, resumed, named) in
+        [(2, &moved, &moved), (3, &link, &moved), (4, &moved, &link)]
+    {
+        let length = format!("run.iterations={iterations}");
+        let named = format!("run.dir={}", text(named));
+        succeeded(&["train", "--resume", text(resumed), &named, &length]);
+        assert_eq!(inspect(&moved)["iteration"], iterations);
+    }
+    let other = format!("run.dir={}", text(&first));
+    let line = refused(&["train", "--resume", text(&moved), &other]);
+    assert!(
+        line.contains("a resumed run stays in its folder") && line.contains("/moved;"),
+        "{line}"
+    );
+}
+
+#[test]
+fn a_page_whose_port_is_in_use_is_a_failure_and_no_wrong_setting() {
+    let runs = Runs::new();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let output = tiny("train", &runs.folder("run"), &["--page", &address]).output().unwrap();
+    let line = error(&output);
+    assert_eq!(output.status.code(), Some(1), "{line}");
+    assert!(line.contains("in use") && line.contains("choose another port"), "{line}");
 }
 
 /// Repeats a command that writes files: without `--force` it is refused.

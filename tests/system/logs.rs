@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::runs::{Runs, inspect, json, s2mia, text, told, train};
+use crate::runs::{Runs, inspect, json, outcome, s2mia, text, train};
 
 /// Four iterations of two slots by two actors; evaluations before, between and after. An audit would log its slot again.
 const FOUR: [&str; 3] = ["run.iterations=4", "run.actors=2", "audit.share=0"];
@@ -14,8 +14,8 @@ fn logged() -> &'static (Runs, PathBuf, String) {
     RUN.get_or_init(|| {
         let runs = Runs::new();
         let folder = runs.folder("logged");
-        let told = train(&folder, &[&FOUR[..], &["log.episodes=all"]].concat());
-        (runs, folder, told)
+        let printed = train(&folder, &[&FOUR[..], &["log.episodes=all"]].concat());
+        (runs, folder, printed)
     })
 }
 
@@ -45,7 +45,7 @@ fn every_step_of_the_run_is_logged_once_and_can_be_replayed() {
     assert!(closing.contains("logged 3,320 steps in 19 shares of episodes"), "{closing}");
     assert!(closing.contains("0 shares lost, 0 files not finished"), "{closing}");
     // The run folder is accepted in place of its logs.
-    let (status, report) = told(s2mia(&["log", "--replay", text(folder)]));
+    let (status, report) = outcome(s2mia(&["log", "--replay", text(folder)]));
     assert_eq!(status, Some(0), "{report}");
     for line in ["checksums and schemas are right", "equal bit for bit"] {
         assert_eq!(report.matches(line).count(), logs(folder).len(), "{report}");
@@ -71,13 +71,13 @@ fn files_that_are_no_whole_logs_are_rejected_in_one_line() {
         (text(&empty), 2, ["empty", "no trajectories-*.mcap"]),
         (text(&recorded), 2, ["recorded/iter_00000020.mcap for a recording", "; name a file such"]),
     ] {
-        let (found, line) = told(s2mia(&["log", path]));
+        let (found, line) = outcome(s2mia(&["log", path]));
         assert_eq!(found, Some(status), "{line}");
         assert!(parts.iter().all(|part| line.contains(part)), "{line}");
         assert_eq!(line.lines().count(), 1, "{line}");
     }
     let whole = &logs(folder)[0];
-    let (status, lines) = told(s2mia(&["log", text(&cut), "Cargo.toml", text(whole)]));
+    let (status, lines) = outcome(s2mia(&["log", text(&cut), "Cargo.toml", text(whole)]));
     assert_eq!((status, lines.lines().count()), (Some(1), 3), "{lines}");
     for part in ["cut.mcap: not finished", "not an MCAP file", "checksums and schemas are right"] {
         assert!(lines.contains(part), "files after a damaged one are checked: {lines}");
@@ -85,7 +85,7 @@ fn files_that_are_no_whole_logs_are_rejected_in_one_line() {
     let mixed = runs.folder("mixed");
     std::fs::create_dir_all(mixed.join("trajectories-folder-0000.mcap")).unwrap();
     std::fs::copy(whole, mixed.join("trajectories-whole-0000.mcap")).unwrap();
-    let (status, lines) = told(s2mia(&["log", text(&mixed)]));
+    let (status, lines) = outcome(s2mia(&["log", text(&mixed)]));
     assert_eq!(status, Some(1));
     for part in ["it is a directory, not a plain file", "checksums and schemas are right"] {
         assert!(lines.contains(part), "files beside another thing are checked: {lines}");

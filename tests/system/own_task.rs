@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::runs::{Runs, inspect, refused, s2mia, succeeded, text, told, train, weights};
+use crate::runs::{Runs, inspect, outcome, refused, s2mia, succeeded, text, train, weights};
 
 /// Writes the example into a new folder and returns the path of its task file.
 fn example(runs: &Runs) -> std::path::PathBuf {
@@ -173,10 +173,11 @@ fn a_check_warns_of_a_motor_that_cannot_be_explored() {
     let model = task.with_file_name("hopper.xml");
     let changed = std::fs::read_to_string(&model).unwrap().replacen("gear=\"80\"", "gear=\"0\"", 1);
     std::fs::write(&model, changed).unwrap();
-    let told = check();
-    let warnings: Vec<&str> = told.lines().filter(|line| line.starts_with("warning: ")).collect();
+    let printed = check();
+    let warnings: Vec<&str> =
+        printed.lines().filter(|line| line.starts_with("warning: ")).collect();
     let why = "the motor of `hip` has gear 0, so its control moves nothing: set `gear`";
-    assert_eq!(warnings, [format!("warning: {why}")], "{told}");
+    assert_eq!(warnings, [format!("warning: {why}")], "{printed}");
 }
 
 #[test]
@@ -185,9 +186,9 @@ fn a_check_refuses_rewards_that_no_learner_accepts_with_the_largest_term() {
     let task = example(&runs);
     let valid = std::fs::read_to_string(&task).unwrap();
     std::fs::write(&task, valid.replacen("weight = 1e-3", "weight = 1e9", 1)).unwrap();
-    let (status, told) = told(s2mia(&["task", "check", text(&task)]));
+    let (status, printed) = outcome(s2mia(&["task", "check", text(&task)]));
     let why = "of which `control` gives -1.017822e9; lower the term's weight";
-    assert!(status == Some(1) && told.contains(why), "{told}");
+    assert!(status == Some(1) && printed.contains(why), "{printed}");
 }
 
 #[test]
@@ -200,9 +201,9 @@ fn a_run_of_an_own_task_of_several_files_continues_and_is_read_without_them() {
     let long = format!("model=\"{}\"", "x".repeat(5 << 19));
     let large = std::fs::read_to_string(&model).unwrap().replace("model=\"hopper\"", &long);
     std::fs::write(&model, large).unwrap();
-    let told = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
+    let printed = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
     // Eight tetrahedra of 0.1 x 0.1 x 0.25 / 6 m^3 and 1000 kg/m^3.
-    let torso = told.lines().find(|line| line.starts_with("link  torso")).unwrap();
+    let torso = printed.lines().find(|line| line.starts_with("link  torso")).unwrap();
     assert!(torso.contains(" 3.3333 kg"), "{torso}");
     let named = format!("task={}", text(&task));
     train(&whole, &[&named, "run.iterations=2", "run.actors=1"]);
@@ -245,9 +246,9 @@ fn a_disturbed_task_has_the_same_weights_with_any_actors_and_its_logs_replay() {
     let task = example(&runs);
     let plain = std::fs::read_to_string(&task).unwrap();
     std::fs::write(&task, plain + DISTURBED).unwrap();
-    let told = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
+    let printed = succeeded(&["task", "check", text(&task), "--episodes", "1"]);
     for line in ["command forward: 0.5 to 1.5 m/s", "push of torso: 100 to 200 N for 0.1 s"] {
-        assert!(told.contains(&format!("drawn {line}")), "{told}");
+        assert!(printed.contains(&format!("drawn {line}")), "{printed}");
     }
     let (whole, resumed) = (runs.folder("whole"), runs.folder("resumed"));
     let named = format!("task={}", text(&task));
@@ -388,8 +389,8 @@ fn a_partition_is_named_exactly() {
     let with = |partitions: &str| std::fs::write(&task, valid.replacen(agents, partitions, 1));
     let b = format!("{}:b", text(&task));
     with(&format!("{one}\nb = [[\"hip\"], [\"knee\"]]")).unwrap();
-    let told = succeeded(&["task", "check", &b, "--episodes", "1"]);
-    assert!(told.starts_with("hopper-b: 2 agents"), "{told}");
+    let printed = succeeded(&["task", "check", &b, "--episodes", "1"]);
+    assert!(printed.starts_with("hopper-b: 2 agents"), "{printed}");
     with(one).unwrap();
     let error = refused(&["task", "check", &b, "--episodes", "1"]);
     assert!(error.contains("hopper.toml:a-b"), "{error}");

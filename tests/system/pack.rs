@@ -32,8 +32,8 @@ fn a_pack_is_verified_and_used_without_its_run_and_has_no_secret_and_no_path_of_
     fs::write(run.join("checkpoints/iter_00000002/notes.txt"), "mine").unwrap();
     let whole_run = inspect(&run);
     let played = evaluated(text(&run), &["--episodes", "1"]);
-    let told = succeeded(&["pack", text(&run), "--out", text(&pack)]);
-    assert!(told.contains("6 iterations, 3 checkpoints"), "{told}");
+    let printed = succeeded(&["pack", text(&run), "--out", text(&pack)]);
+    assert!(printed.contains("6 iterations, 3 checkpoints"), "{printed}");
     succeeded(&["pack", text(&run), "--out", text(&again)]);
     assert_eq!(contents(&pack), contents(&again), "the same run makes the same bytes");
     for (name, _) in contents(&pack) {
@@ -60,8 +60,8 @@ fn a_pack_is_verified_and_used_without_its_run_and_has_no_secret_and_no_path_of_
     assert!(refused(&["pack", text(&run), "--out", text(&run.join("in"))]).contains("inside the"));
 
     fs::remove_dir_all(&run).unwrap();
-    let told = succeeded(&whole(&pack));
-    assert!(told.contains("6 of its 6 iterations and 4 of its 4 evaluations"), "{told}");
+    let printed = succeeded(&whole(&pack));
+    assert!(printed.contains("6 of its 6 iterations and 4 of its 4 evaluations"), "{printed}");
     assert_eq!(inspect(&pack), whole_run);
     assert_eq!(evaluated(text(&pack), &["--episodes", "1"]), played);
     succeeded(&["film", text(&pack), "--frames", "1"]);
@@ -88,8 +88,8 @@ fn damaged_records_and_a_checkpoint_in_the_place_of_a_run_are_not_packed() {
     let line = failed(&["pack", text(&run), "--out", text(&pack)], 1);
     assert!(line.contains("it has no checkpoint"), "{line}");
     assert!(!pack.exists());
-    let told = succeeded(&["verify", text(&run)]);
-    assert!(told.contains("equal: iterations 1 to 2 from the seed"), "{told}");
+    let printed = succeeded(&["verify", text(&run)]);
+    assert!(printed.contains("equal: iterations 1 to 2 from the seed"), "{printed}");
     fs::remove_file(run.join("provenance.jsonl")).unwrap();
     assert!(doubted(&run, 1).contains("provenance.jsonl is missing or has no line"));
 }

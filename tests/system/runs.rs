@@ -99,7 +99,7 @@ pub(crate) fn error(output: &Output) -> String {
 }
 
 /// Exit status of an ended process, and its output and error together.
-pub(crate) fn told(output: Output) -> (Option<i32>, String) {
+pub(crate) fn outcome(output: Output) -> (Option<i32>, String) {
     let text = [output.stdout, output.stderr].concat();
     (output.status.code(), String::from_utf8(text).unwrap())
 }
@@ -160,8 +160,8 @@ pub(crate) fn status(of: &str) -> Value {
 
 /// The result of `s2mia eval`.
 pub(crate) fn evaluated(run: &str, more: &[&str]) -> Value {
-    let told = succeeded(&[&["eval", run, "--json"], more].concat());
-    serde_json::from_str(&told).unwrap()
+    let printed = succeeded(&[&["eval", run, "--json"], more].concat());
+    serde_json::from_str(&printed).unwrap()
 }
 
 /// A file of one JSON value.

@@ -159,9 +159,8 @@ async fn episodes_with_the_service_equal_those_of_the_evaluator_bit_for_bit() {
     let server = Server::start(folder, &[]);
     let loaded = learner::store::checkpoint::load_newest(folder).unwrap().checkpoint;
     let snapshot = PolicySnapshot::from_bytes(&loaded.policy).unwrap();
-    let told = succeeded(&["eval", text(folder), "--episodes=2", "--json"]);
-    // Compared as text, since parsing a JSON number may lose its last bit.
-    let returns = told.split("\"return\":").skip(1).map(|rest| rest.split(',').next().unwrap());
+    let printed = succeeded(&["eval", text(folder), "--episodes=2", "--json"]);
+    let returns = printed.split("\"return\":").skip(1).map(|rest| rest.split(',').next().unwrap());
     let returns: Vec<&str> = returns.collect();
     let mut acting = Acting::begin(&server, ActionChoice::Mean).await;
     let (mut here, mut there) = (world(folder), world(folder));

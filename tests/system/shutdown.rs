@@ -140,13 +140,13 @@ fn a_limit_of_file_sizes_fails_checkpoints_and_the_run_and_kills_nothing() {
     let limited = ["-c", "ulimit -f 40; exec \"$0\" \"$@\""];
     let output =
         under("sh", &limited, &tiny("train", &runs.folder("run"), &settings)).output().unwrap();
-    let told = error(&output);
-    assert_eq!(output.status.code(), Some(1), "{told}");
+    let printed = error(&output);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
     for then in ["training continues; retrying after the next", "training is over; retrying once"] {
-        let line = told.lines().find(|line| line.contains(then));
-        assert!(line.is_some_and(|line| line.contains("checkpoint failed")), "{then}: {told}");
+        let line = printed.lines().find(|line| line.contains(then));
+        assert!(line.is_some_and(|line| line.contains("checkpoint failed")), "{then}: {printed}");
     }
-    assert!(told.lines().last().unwrap().contains("File too large"), "{told}");
+    assert!(printed.lines().last().unwrap().contains("File too large"), "{printed}");
 }
 
 #[test]

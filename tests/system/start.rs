@@ -37,10 +37,10 @@ fn a_run_that_started_from_another_ends_with_the_same_bits_and_does_not_need_the
     let pack = runs.folder("pack");
     succeeded(&["pack", text(&whole), "--out", text(&pack)]);
     for run in [&whole, &pack] {
-        let (told, logged) = success(&mut command(&["verify", text(run), "--iterations", "4"]));
+        let (printed, logged) = success(&mut command(&["verify", text(run), "--iterations", "4"]));
         assert!(!logged.contains("WARN"), "{logged}");
-        assert!(told.contains("equal: iterations 1 to 2 from the seed"), "{told}");
-        assert!(told.contains("4 of its 4 iterations"), "{told}");
+        assert!(printed.contains("equal: iterations 1 to 2 from the seed"), "{printed}");
+        assert!(printed.contains("4 of its 4 iterations"), "{printed}");
     }
     let config = format!("--config={}", text(&whole.join("config.toml")));
     let again = runs.folder("again");
@@ -91,7 +91,7 @@ fn a_run_that_starts_from_a_trained_team_begins_with_its_return() {
     let trained = records[TASK]["return_mean"].as_float().unwrap();
     let (start, folder_setting) =
         (format!("policy.start={TASK}"), format!("run.dir={}", text(&folder)));
-    let told = succeeded(&[
+    let printed = succeeded(&[
         "train",
         TASK,
         &start,
@@ -100,7 +100,7 @@ fn a_run_that_starts_from_a_trained_team_begins_with_its_return() {
         "run.iterations=1",
         "evaluation.episodes=1",
     ]);
-    assert!(told.contains(&format!("env steps, from the policies of {TASK}\n")), "{told}");
+    assert!(printed.contains(&format!("env steps, from the policies of {TASK}\n")), "{printed}");
     let first = metrics(&folder, "evaluation")[0]["mean"].as_f64().unwrap();
     assert!(first > 0.5 * trained, "{first} of {trained}");
 }

@@ -21,7 +21,7 @@ fn a_team_is_filmed_evaluated_recorded_exported_and_served_by_the_name_of_its_ta
     let runs = Runs::new();
     let folder = runs.folder("anywhere");
     std::fs::create_dir(&folder).unwrap();
-    let told = |arguments: &[&str]| success(&mut within(&folder, arguments)).0;
+    let printed_by = |arguments: &[&str]| success(&mut within(&folder, arguments)).0;
     let records: toml::Table = include_str!("../../pretrained/teams.toml").parse().unwrap();
     let first = records[TASK]["first_return"].as_float().unwrap();
     let shown = format!("return {first:.2}, 1000 steps");
@@ -32,8 +32,8 @@ fn a_team_is_filmed_evaluated_recorded_exported_and_served_by_the_name_of_its_ta
         &["record", TASK],
         &["export", TASK, "--onnx", "onnx"],
     ] {
-        let told = told(arguments);
-        assert!(told.contains(name) && told.contains(&shown), "{arguments:?}: {told}");
+        let printed = printed_by(arguments);
+        assert!(printed.contains(name) && printed.contains(&shown), "{arguments:?}: {printed}");
     }
     let gif = std::fs::read(folder.join(format!("{TASK}.gif"))).unwrap();
     assert!(gif.starts_with(b"GIF89a") && gif.len() < 1_000_000, "{} bytes", gif.len());
@@ -44,7 +44,7 @@ fn a_team_is_filmed_evaluated_recorded_exported_and_served_by_the_name_of_its_ta
         let line = failure(&mut within(&folder, &[command, TASK]), 2);
         assert!(line.contains("already exists") && line.contains("--force"), "{line}");
     }
-    let measured = told(&["eval", TASK, "--episodes", "1", "--json"]);
+    let measured = printed_by(&["eval", TASK, "--episodes", "1", "--json"]);
     let measured: serde_json::Value = serde_json::from_str(&measured).unwrap();
     assert_eq!(measured["return_mean"], first);
     assert_eq!((&measured["seed"], &measured["env_steps"]), (&1.into(), &1_000_000.into()));

@@ -43,9 +43,9 @@ fn printed_return(text: &str, episode: &str) -> String {
 fn every_tool_reads_the_files_of_a_run_and_an_episode_has_one_return_in_all_of_them() {
     let runs = Runs::new();
     let folder = runs.folder("run");
-    let told = train(&folder, &["run.iterations=2", "run.actors=2"]);
-    assert!(told.contains("algorithm happo-s2mia, seed 7, 2 actors"), "{told}");
-    assert!(told.contains("evaluation return"), "{told}");
+    let printed = train(&folder, &["run.iterations=2", "run.actors=2"]);
+    assert!(printed.contains("algorithm happo-s2mia, seed 7, 2 actors"), "{printed}");
+    assert!(printed.contains("evaluation return"), "{printed}");
     let run = text(&folder);
     let measured = evaluated(run, &["--episodes", "3"]);
     assert_eq!((&measured["seed"], &measured["iteration"]), (&7.into(), &2.into()));
@@ -62,14 +62,14 @@ fn every_tool_reads_the_files_of_a_run_and_an_episode_has_one_return_in_all_of_t
     assert!(succeeded(&["eval", run, "--episodes", "3"]).contains(&shown(2)));
     let (mcap, onnx) = (folder.join("episode.mcap"), folder.join("onnx"));
     let filmed = succeeded(&["film", run, "--still", "--episode", "2", "--frames", "5"]);
-    for (told, indices) in [
+    for (printed, indices) in [
         (&succeeded(&["record", run, "--episodes", "3"]), 0..3),
         (&succeeded(&["record", run, "--episode", "2", "--out", text(&mcap)]), 2..3),
         (&filmed, 2..3),
         (&succeeded(&["export", run, "--onnx", text(&onnx)]), 0..1),
     ] {
         for index in indices {
-            assert_eq!(printed_return(told, &name(index)), shown(index));
+            assert_eq!(printed_return(printed, &name(index)), shown(index));
         }
     }
     assert!(std::fs::read(&mcap).unwrap().starts_with(b"\x89MCAP0\r\n"));

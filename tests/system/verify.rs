@@ -81,8 +81,8 @@ fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_fo
         let ended = run.env("S2MIA_FAIL_AT", "mid-update@3").output().unwrap();
         assert!(!ended.status.success());
         succeeded(&["train", "--resume", text(&folder)]);
-        let (told, log) = success(&mut command(&whole(&folder)));
-        assert_eq!(log, "", "{told}");
+        let (printed, log) = success(&mut command(&whole(&folder)));
+        assert_eq!(log, "", "{printed}");
         for part in [
             "equal: iterations 1 to 2 from the seed, weights_sha256 ",
             "equal: iterations 3 to 4 from the checkpoint of iteration 2, weights_sha256 ",
@@ -91,9 +91,12 @@ fn a_run_is_verified_from_its_seed_and_its_checkpoints_also_after_a_crash_and_fo
             "equal: evaluation after iteration 6, return ",
             "is verified: 6 of its 6 iterations and 4 of its 4 evaluations have the recorded results",
         ] {
-            assert!(told.contains(part), "{part} is not in:\n{told}");
+            assert!(printed.contains(part), "{part} is not in:\n{printed}");
         }
-        assert!(told.contains(inspect(&folder)["weights_sha256"].as_str().unwrap()), "{told}");
+        assert!(
+            printed.contains(inspect(&folder)["weights_sha256"].as_str().unwrap()),
+            "{printed}"
+        );
     }
 }
 
@@ -120,8 +123,8 @@ fn records_that_end_before_the_run_of_their_settings_are_said_to_be_cut_off() {
     let cut = "; its settings have 6 iterations, so it was stopped, or its records were cut off";
     let packed = succeeded(&["pack", text(&run), "--out", text(&pack)]);
     assert!(packed.contains(&format!("2 iterations, 1 checkpoint{cut}")), "{packed}");
-    let (told, _) = success(&mut command(&whole(&pack)));
-    assert!(told.contains("2 of its 2 iterations") && told.contains(cut), "{told}");
+    let (printed, _) = success(&mut command(&whole(&pack)));
+    assert!(printed.contains("2 of its 2 iterations") && printed.contains(cut), "{printed}");
 }
 
 #[test]
@@ -254,11 +257,11 @@ fn evaluations_are_verified_also_if_a_resume_changed_their_settings() {
         let folder = runs.folder("run");
         train(&folder, &["run.iterations=4"]);
         succeeded(&["train", "--resume", text(&folder), SIX, setting]);
-        let told = succeeded(&whole(&folder));
+        let printed = succeeded(&whole(&folder));
         let last = format!(
             "6 of its 6 iterations and {made} of its {made} evaluations have the recorded results\n"
         );
-        assert!(told.ends_with(&last), "{setting}: {told}");
+        assert!(printed.ends_with(&last), "{setting}: {printed}");
     }
 }
 
@@ -330,9 +333,9 @@ fn a_run_of_another_commit_is_verified_and_a_difference_names_both_commits() {
     let recorded = |key: &str| start[key].as_str().unwrap().to_owned();
     let other = format!("{}+{}", recorded("version"), recorded("git_commit"));
     assert_ne!(other, own);
-    let told = succeeded(&["verify", text(&folder)]);
+    let printed = succeeded(&["verify", text(&folder)]);
     let builds = format!("computed by {other}; this is {own}");
-    assert!(told.contains(&builds), "{told}");
+    assert!(printed.contains(&builds), "{printed}");
     let lines = folder.join("metrics.jsonl");
     change(&lines, |line| line["iteration"] == 1, |line| line["env_steps"] = 1.into());
     let line = doubted(&folder, 2);
@@ -347,8 +350,8 @@ fn a_run_in_an_external_environment_is_verified_while_that_is_there() {
     let service = CueService::start(Faults::NONE);
     let settings = ["task=cue-2x1", "run.iterations=4", "--environment", &service.url];
     success(&mut tiny("train", &folder, &settings));
-    let told = succeeded(&["verify", text(&folder)]);
-    assert!(told.contains("4 of its 4 iterations"), "{told}");
+    let printed = succeeded(&["verify", text(&folder)]);
+    assert!(printed.contains("4 of its 4 iterations"), "{printed}");
     let url = service.url.clone();
     drop(service);
     let line = doubted(&folder, 1);

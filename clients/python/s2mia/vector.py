@@ -32,7 +32,8 @@ def vector_env(
     """`num_envs` environments of a task as a Gymnasium `VectorEnv` of a team: arrays of all agents in and out.
 
     `threads` threads step them; no result depends on their number. Environment `i` starts episode `e` as environment `i` of
-    a run with the same seed does. The other arguments are those of `s2mia.parallel_env`.
+    a run with the same seed does, whose first episodes may be shorter (`environments.phase`). The other arguments are those of
+    `s2mia.parallel_env`.
     """
     demand_settings(vector_env, settings)
     return VectorSimulator(Simulator(task, settings, seed, disturbances, num_envs, threads))

@@ -336,7 +336,7 @@ impl Exchange {
                 Effect::BeginAgain(slot) => shared.wakes.push_back(Wake::BeginAgain(slot)),
                 Effect::GivenUp { actor, work, times, detail } => {
                     let work = incidents::work(work);
-                    let actor = shared.names.call(actor);
+                    let actor = shared.names.name_of(actor);
                     let error = ExchangeError(format!(
                         "{work} failed {times} times and no actor could finish it, the last was {actor}: {detail}; \
                          remove the cause, then resume the run"

@@ -128,8 +128,9 @@ impl SlotTable {
             self.expire(id);
         }
         let processes = &self.actors.processes;
-        let hopeless = |process| processes.any_stalled() && processes.others_are_stalled(process);
-        for audit in self.audits.skip_overdue(self.now, hopeless) {
+        let has_no_other_auditor =
+            |process| processes.any_stalled() && processes.others_are_stalled(process);
+        for audit in self.audits.skip_overdue(self.now, has_no_other_auditor) {
             audit.holder.into_iter().for_each(|id| self.expire(id));
             audit.wait.into_iter().for_each(|wait| self.hand_over(wait.group));
         }
@@ -255,7 +256,7 @@ impl SlotTable {
         self.same_incarnation(incarnation)?;
         let owner = self.actors.owner(sender, actor)?;
         self.may_be_audited(owner)?;
-        self.actors.processes.asks(owner.process, self.now);
+        self.actors.processes.note_request(owner.process, self.now);
         let held = self.open.of(actor).count();
         let wait = self.actors.quarantine(owner, held, self.now)?;
         if self.over {
@@ -266,10 +267,10 @@ impl SlotTable {
         }
         let id = LeaseId(self.last_lease + 1);
         let Some(claimed) = self.claim(id, owner) else {
-            self.found_nothing(owner);
+            self.note_no_work(owner);
             return Ok(Offer::Nothing);
         };
-        if self.actors.processes.wait_no_more(owner.process) {
+        if self.actors.processes.stop_waiting(owner.process) {
             self.effects.push(Effect::WorkFreed);
         }
         self.last_lease = id.0;

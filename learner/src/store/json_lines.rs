@@ -1,6 +1,8 @@
 //! Files of one JSON object per line, each of an iteration, which a resume cuts back to its checkpoint: written by a
 //! learner, and read while they grow.
 
+mod sorted;
+
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
@@ -10,6 +12,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use crate::store::durable::{self, FileError};
+use crate::store::json_lines::sorted::SortedLines;
 use crate::store::plain_file;
 
 /// Most bytes that are buffered while the disk cannot be written; above it, `append` fails.
@@ -34,37 +37,16 @@ impl JsonLines {
     /// Names the file if it cannot be read or written.
     pub fn cut(path: &Path, iteration: u64) -> Result<(Self, Vec<Value>), FileError> {
         let text = plain_file::read_if_present(path).map_err(FileError::of("read", path))?;
-        let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
-        // A crash may leave half of the last line.
-        let whole = durable::whole_lines(&text);
-        let mut kept = Vec::new();
-        let mut content = Vec::new();
-        let (mut damaged, mut before) = (Vec::new(), Vec::new());
-        for line in lines {
-            match of_iteration(line) {
-                Some((found, value)) if found <= iteration => {
-                    content.extend_from_slice(line);
-                    content.push(b'\n');
-                    kept.push(value);
-                }
-                Some(_) if iteration == 0 => before.push(line),
-                Some(_) => {}
-                None => damaged.push(line),
-            }
-        }
-        if whole < text.len() && of_iteration(&text[whole..]).is_none() {
-            damaged.pop();
-        }
-        let shown = path.display();
+        let SortedLines { content, kept, damaged, earlier } = SortedLines::of(&text, iteration);
         move_away(path, &damaged, "damaged")?;
-        move_away(path, &before, "earlier")?;
+        move_away(path, &earlier, "earlier")?;
         if content != text {
             durable::replace(path, &content)?;
         }
         let file = opened(path)?;
         let lost = gaps(&iterations(&kept), iteration);
         if !lost.is_empty() {
-            tracing::warn!("{shown} has no lines of iterations {}", lost.join(", "));
+            tracing::warn!("{} has no lines of iterations {}", path.display(), lost.join(", "));
         }
         Ok((Self { path: path.to_path_buf(), file, waiting: Vec::new() }, kept))
     }

@@ -8,7 +8,7 @@ use sim::{Hull, LinkShape, Shape, WORLD, link_colour};
 
 const FLOOR: Color = Color { r: 0.55, g: 0.60, b: 0.65, a: 0.6 };
 /// Length and width of the drawn part of the floor, metres.
-const FLOOR_SIZE: (f64, f64) = (400.0, 4.0);
+const FLOOR_SIZE: f64 = 400.0;
 const FLOOR_THICKNESS: f64 = 0.02;
 
 /// A robot and what is fixed around it.
@@ -98,11 +98,10 @@ fn triangles((shape, color): Coloured<'_>, hull: &Hull) -> TriangleListPrimitive
 }
 
 fn floor(height: f32, now: Timestamp) -> SceneEntity {
-    let (x, y) = FLOOR_SIZE;
     let below = Vector3 { x: 0.0, y: 0.0, z: f64::from(height) - FLOOR_THICKNESS / 2.0 };
     let cube = CubePrimitive {
         pose: Some(Pose { position: Some(below), orientation: Some(quaternion([0., 0., 0., 1.])) }),
-        size: Some(Vector3 { x, y, z: FLOOR_THICKNESS }),
+        size: Some(Vector3 { x: FLOOR_SIZE, y: FLOOR_SIZE, z: FLOOR_THICKNESS }),
         color: Some(FLOOR),
     };
     SceneEntity {

@@ -92,7 +92,7 @@ impl Origin {
 fn scenery(world: &dyn EnvironmentBatch) -> Option<Scenery> {
     let simulated = world.world(0)?;
     let pose = world.pose(0);
-    let drivers = sim::drivers(world.description(), &pose);
+    let drivers = sim::drivers(world);
     let driven = |shape: LinkShape| {
         let link = pose.links.iter().position(|link| link.name == shape.link);
         DrivenShape { driver: link.and_then(|link| drivers[link]), shape }

@@ -3,17 +3,18 @@
 
 use std::sync::Arc;
 
-use crate::robot::{HingeMap, JointPlan, Robot};
-use crate::task::Rules;
+use crate::robot::{HingeMap, JointPlan, MotorPlan, Robot};
+use crate::task::{Around, Rules};
 use crate::world::World;
 
 /// Depth of a start in another shape that is worth a warning, m.
 const SMALLEST_DEPTH: f32 = 1e-3;
 /// Distance of a start from a joint's limits that is worth a warning, rad or m.
 const SMALLEST_EXCESS: f32 = 1e-3;
-/// Widths of a driven hinge's range that suggest another unit of angles: radians read as degrees, or degrees read as radians.
+/// Narrower ranges of driven hinges suggest radians that were read as degrees.
 const NARROWEST_RAD: f32 = 0.1;
-const WIDEST_RAD: f32 = 4.0 * std::f32::consts::PI;
+/// Difference of an activation at the start from the control of action 0 that is worth a warning, as a share of the controls.
+const LARGEST_DIFFERENCE: f32 = 0.01;
 /// Most joints or shapes that a warning names.
 const MOST_NAMED: usize = 6;
 
@@ -25,6 +26,8 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules, controls: &[[f32; 2]])
     let mut world = World::new(Arc::clone(robot));
     world.rebuild(&coordinates, &velocities);
     let mut warnings = robot.hard_to_explore(controls);
+    warnings.extend(ambiguous_names(robot));
+    warnings.extend(filters_away_from_start(robot, rules, controls));
     warnings.extend(angles(robot));
     warnings.extend(floor(robot));
     warnings.extend(overlaps(&world));
@@ -42,15 +45,18 @@ pub(super) fn warnings(robot: &Arc<Robot>, rules: &Rules, controls: &[[f32; 2]])
 
 /// Says which driven hinges have a range that suggests another unit of angles.
 fn angles(robot: &Robot) -> Vec<String> {
-    let about = |hinge: &HingeMap, is_wrong: fn(f32) -> bool| {
+    let is_narrow = |hinge: &HingeMap| {
+        let is_narrow = |[low, high]: [f32; 2]| high - low < NARROWEST_RAD;
+        hinge.units()[0] == "rad" && hinge.plan.range.is_some_and(is_narrow)
+    };
+    let about = |hinge: &HingeMap, is_wrong: fn(&HingeMap) -> bool| {
         let [low, high] = hinge.plan.range?;
-        let turns = hinge.units()[0] == "rad" && is_wrong(high - low);
-        turns.then(|| format!("`{}` {low:.3} to {high:.3} rad", hinge.plan.name))
+        is_wrong(hinge).then(|| format!("`{}` {low:.3} to {high:.3} rad", hinge.plan.name))
     };
     let driven = |index: &usize| {
         robot.blueprint.motors.iter().any(|motor| motor.moved.only_hinge() == Some(*index))
     };
-    let sentence = |is_wrong: fn(f32) -> bool, unit: &str| {
+    let sentence = |is_wrong: fn(&HingeMap) -> bool, unit: &str| {
         let driven = (0..robot.layout.hinges.len()).filter(driven);
         let named = driven.filter_map(|index| about(&robot.layout.hinges[index], is_wrong));
         listed(&named.collect::<Vec<_>>()).map(|listed| {
@@ -60,8 +66,51 @@ fn angles(robot: &Robot) -> Vec<String> {
             )
         })
     };
-    let narrow = sentence(|width| width < NARROWEST_RAD, "radian");
-    narrow.into_iter().chain(sentence(|width| width > WIDEST_RAD, "degree")).collect()
+    let narrow = sentence(is_narrow, "radian");
+    narrow.into_iter().chain(sentence(HingeMap::has_range_in_degrees, "degree")).collect()
+}
+
+/// Says which names in `agents` are those of one actuator and of the joint of another.
+fn ambiguous_names(robot: &Robot) -> Option<String> {
+    let motors = &robot.blueprint.motors;
+    let of_other = |motor: &&MotorPlan| {
+        let mut others = motors.iter().filter(|other| other.name != motor.name);
+        motor.name != motor.joint && others.any(|other| other.joint == motor.name)
+    };
+    let named: Vec<String> =
+        motors.iter().filter(of_other).map(|motor| format!("`{}`", motor.name)).collect();
+    listed(&named).map(|listed| {
+        format!(
+            "names of actuators are also those of joints, tendons or sites of other actuators, {listed}: in `agents` such a name \
+             stands for the actuators there; rename these actuators"
+        )
+    })
+}
+
+/// Says which filters start at an activation with which action 0 does not hold the start, though actions are around it.
+fn filters_away_from_start(robot: &Robot, rules: &Rules, controls: &[[f32; 2]]) -> Option<String> {
+    if rules.around == Around::Range {
+        return None;
+    }
+    let motors = robot.blueprint.motors.iter().zip(controls);
+    let mut starts = vec![0.0; robot.activations().count()];
+    rules.start.set_activations(&mut starts);
+    let filters = motors.filter(|(motor, _)| motor.activation.is_some()).zip(starts);
+    let differs = |(motor, [low, high]): (&MotorPlan, &[f32; 2]), start: f32| {
+        let middle = |[low, high]: [f32; 2]| low / 2.0 + high / 2.0;
+        let [least, most] = motor.range;
+        let held = middle([*low, *high]);
+        let differs = (held - start).abs() > LARGEST_DIFFERENCE * (most - least);
+        (!motor.integrates() && differs)
+            .then(|| format!("`{}` at {start} instead of {held}", motor.name))
+    };
+    let named: Vec<String> = filters.filter_map(|(own, start)| differs(own, start)).collect();
+    listed(&named).map(|listed| {
+        format!(
+            "action 0 does not hold the start at first, because filters start at another activation than its control, {listed}: \
+             state `act` in a keyframe of the model and name it in [start] `keyframe`"
+        )
+    })
 }
 
 /// Says whose root is read if several robots have motors.

@@ -1,4 +1,4 @@
-//! `jump-4x1`: four agents are paid only in steps in which all of them jump at once.
+//! `jump-4x1`: four agents are rewarded only in steps in which all of them jump at once.
 //!
 //! An agent jumps with an action above 0.75. A step in which all four jump has the reward 1, every other one 0: one agent
 //! alone learns nothing from its jump. All agents observe the global state: the share of the episode that has passed, and

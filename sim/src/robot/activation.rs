@@ -41,6 +41,16 @@ impl Activation {
         next.clamp(low, high)
     }
 
+    /// Inputs of the force at the ends of these controls: the controls, limited by a filter's range, or the bounds of an
+    /// integrator's activation.
+    pub(crate) fn inputs(&self, controls: [f32; 2]) -> [f32; 2] {
+        match (self.kind, self.range) {
+            (ActivationKind::Integrator, _) => self.bounds(),
+            (_, Some([low, high])) => controls.map(|end| end.clamp(low, high)),
+            (_, None) => controls,
+        }
+    }
+
     /// Bounds of the activation in a state; it starts at 0, also outside its range.
     pub(crate) fn bounds(&self) -> [f32; 2] {
         let [low, high] = self.range.unwrap_or([-LARGEST, LARGEST]);

@@ -14,17 +14,19 @@ pub struct Actuator<'a> {
     pub name: &'a str,
     /// Name of the joint, tendon or site that it acts on.
     pub joint: &'a str,
-    /// If it acts on a site, the name of the link there and the unit of [`Self::torque`].
-    pub pushed: Option<(&'a str, &'static str)>,
+    /// If it acts on a site, the name of the link there.
+    pub pushed: Option<&'a str>,
     /// Names of the joints that it moves; none if it acts on a site.
     pub moved: Vec<&'a str>,
     /// Range of its control.
     pub control: [f32; 2],
     /// What limits its torque.
     pub torque: Torque,
+    /// Unit of its torque: `N` or `N m`, for a tendon over hinges and slides both.
+    pub unit: &'static str,
 }
 
-/// The largest torque of an actuator, N m, or force of one on a slide, tendon or site, N.
+/// Largest torque or force of an actuator, in [`Actuator::unit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Torque {
     /// Of a motor, whose torque depends on the control only.
@@ -49,20 +51,29 @@ impl Robot {
                     Torque::Servo(own.into_iter().chain(limit).reduce(f32::min))
                 }
                 _ => {
-                    let summed = motor.activation.filter(|_| motor.integrates());
-                    let inputs = summed.map_or(motor.range, |own| own.bounds());
-                    let ends = inputs.map(|input| motor.torque_of(input).unwrap_or(0.0));
+                    let range = motor.range;
+                    let ends = motor.activation.map_or(range, |own| own.inputs(range));
+                    let ends = ends.map(|input| motor.torque_of(input).unwrap_or(0.0));
                     Torque::Motor(limit.map_or(largest(ends), |limit| largest(ends).min(limit)))
                 }
             };
             let (name, joint) = (&motor.name, &motor.joint);
             let links = &self.blueprint.links;
-            let pushed = motor.thrust.map(|thrust| {
-                let unit = if thrust.force == DVec3::ZERO { "N m" } else { "N" };
-                (links[thrust.link].name.as_str(), unit)
-            });
-            Actuator { name, joint, pushed, moved, control: motor.range, torque }
+            let pushed = motor.thrust.map(|thrust| links[thrust.link].name.as_str());
+            let unit = self.unit_of(motor);
+            Actuator { name, joint, pushed, moved, control: motor.range, torque, unit }
         })
+    }
+
+    /// Unit of the torque or force of a motor.
+    pub(super) fn unit_of(&self, motor: &MotorPlan) -> &'static str {
+        if let Some(thrust) = motor.thrust {
+            return if thrust.force == DVec3::ZERO { "N m" } else { "N" };
+        }
+        let unit = |(hinge, _): &(usize, f32)| self.layout.hinges[*hinge].units()[1];
+        let mut units = motor.moved.0.iter().map(unit);
+        let first = units.next().unwrap_or("N");
+        if units.all(|unit| unit == first) { first } else { "N or N m" }
     }
 }
 

@@ -34,7 +34,9 @@ impl Robot {
                 None => self.inverse_pushed_mass(motor),
             };
             let step_secs = self.physics_step_secs() as f32;
-            let drive = Drive { motor, controls: *controls, hinge, inverse_inertia, step_secs };
+            let unit = self.unit_of(motor);
+            let drive =
+                Drive { motor, controls: *controls, hinge, inverse_inertia, step_secs, unit };
             let why = drive.fault()?;
             let width = |[low, high]: [f32; 2]| high - low;
             let excess = width(*controls) - width(motor.range);
@@ -68,6 +70,8 @@ struct Drive<'a> {
     inverse_inertia: Option<f32>,
     /// Duration of a physics step, s.
     step_secs: f32,
+    /// Unit of its torque or force.
+    unit: &'static str,
 }
 
 impl Drive<'_> {
@@ -100,7 +104,8 @@ impl Drive<'_> {
         }
         let ends = |by: f32| {
             let (gain, [constant, ..]) = self.law();
-            let [a, b] = limited.map(|control| (gain * control + constant) * by);
+            let inputs = self.motor.activation.map_or(limited, |own| own.inputs(limited));
+            let [a, b] = inputs.map(|input| (gain * input + constant) * by);
             [a.min(b), a.max(b)]
         };
         match (stiffness, slope) {
@@ -154,11 +159,7 @@ impl Drive<'_> {
 
     /// Units of the position and of the torque or force.
     fn units(&self) -> [&'static str; 2] {
-        match (self.hinge, self.motor.thrust) {
-            (Some(hinge), _) => hinge.units(),
-            (None, Some(thrust)) if thrust.force == DVec3::ZERO => ["rad", "N m"],
-            (None, _) => ["m", "N"],
-        }
+        [if self.unit == "N m" { "rad" } else { "m" }, self.unit]
     }
 
     /// What it moves, in words.
@@ -174,9 +175,12 @@ impl Drive<'_> {
     fn too_weak(&self, largest: f32) -> String {
         let [unit, newtons] = self.units();
         let acceleration = largest * self.inverse_inertia.unwrap_or_default();
-        let advice = match self.motor.servo.and_then(|servo| servo.range) {
-            Some(_) => "raise `gear`, or widen `ctrlrange` and `forcerange`",
-            None => "raise `gear` or widen `ctrlrange`",
+        let force = self.motor.servo.and_then(|servo| servo.range);
+        let activation = self.motor.activation.and_then(|own| own.range);
+        let advice = match (force, activation) {
+            (Some(_), _) => "raise `gear`, or widen `ctrlrange` and `forcerange`",
+            (None, Some(_)) => "raise `gear`, or widen `ctrlrange` and `actrange`",
+            (None, None) => "raise `gear` or widen `ctrlrange`",
         };
         format!(
             "exerts {largest} {newtons} at most, which accelerates {} by {acceleration:.2e} {unit}/s^2: {advice}",
@@ -267,6 +271,11 @@ mod tests {
         for (motor, part) in [
             ("motor joint=\"hip\" gear=\"0\"", "has gear 0"),
             ("position joint=\"hip\" kp=\"0\" ctrlrange=\"-1 1\"", "has gain 0"),
+            (
+                "general joint=\"hip\" dyntype=\"filterexact\" dynprm=\"0.1\" gainprm=\"4\" \
+                 actrange=\"-1e-5 1e-5\" ctrlrange=\"-1 1\"",
+                "widen `ctrlrange` and `actrange`",
+            ),
             (
                 "motor joint=\"hip\" gear=\"80\" ctrlrange=\"0.999 1\"",
                 "almost the same: widen `ctrlrange`",

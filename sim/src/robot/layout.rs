@@ -19,6 +19,9 @@ const FARTHEST: f32 = 1e5;
 /// Largest violation of a hinge's limits in a state, rad or m.
 const LIMIT_SLACK: f32 = 3.0;
 
+/// Wider ranges of hinges suggest degrees that were read as radians.
+const WIDEST_RAD: f32 = 4.0 * std::f32::consts::PI;
+
 /// Names of the parts of a quaternion among the coordinates.
 pub(super) const QUATERNION: [&str; 4] = ["qw", "qx", "qy", "qz"];
 /// Names of the parts of an angular velocity.
@@ -175,6 +178,12 @@ impl HingeMap {
             Motion::Translation => ["m", "N"],
             Motion::Rotation | Motion::Ball => ["rad", "N m"],
         }
+    }
+
+    /// Whether its range suggests degrees that were read as radians.
+    pub(crate) fn has_range_in_degrees(&self) -> bool {
+        let is_wide = |[low, high]: [f32; 2]| high - low > WIDEST_RAD;
+        self.plan.motion == Motion::Rotation && self.plan.range.is_some_and(is_wide)
     }
 
     /// Its position, m or rad; of a ball joint the part of the rotation vector.

@@ -6,7 +6,7 @@ use rapier3d::math::Vector;
 use super::Motion;
 use super::command::CommandRanges;
 use super::definition::{
-    Audience, HealthyRow, TaskFile, TermName, TermRow, check_repeats, refused, within,
+    Around, Audience, HealthyRow, TaskFile, TermName, TermRow, check_repeats, refused, within,
 };
 use super::disturbance::{DisturbanceRanges, DrawnEpisode};
 use super::healthy::{Watched, checked_healthy};
@@ -23,6 +23,8 @@ use crate::world::World;
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
     pub(crate) start: Start,
+    /// Control for an action of 0.
+    pub(crate) around: Around,
     reward: WeightedSum,
     cost: WeightedSum,
     /// Names of the reward's terms: of the rewards, then of the costs, `[K]`.
@@ -65,6 +67,7 @@ impl Rules {
         let healthy = healthy.map(|row| checked_healthy(row, robot, &features, largest));
         let rules = Self {
             start: Start::new(&file.start, names, robot)?,
+            around: file.actions.around,
             reward: WeightedSum::new("reward", &file.reward, robot, &command)?,
             cost: WeightedSum::new("cost", &file.cost, robot, &command)?,
             term_names: term_names(file),

@@ -22,6 +22,12 @@ const LARGEST_TURN: f32 = 0.25;
 /// The same for the quaternion (1, 0, 0, 0), whose first component then stays positive.
 const LARGEST_TURN_FROM_REST: f32 = 0.5;
 
+/// What to do about a coordinate outside its bounds.
+const CHANGE: &str = "change it by start.coordinates, in rad or m";
+/// The same, if its range suggests degrees.
+const IN_DEGREES: &str = "if the ranges of the model are in degrees, set `angle=\"degree\"` of the <compiler>, else change it by \
+                          start.coordinates, in rad";
+
 /// The start of an episode: the rest pose, with other values for some coordinates and with noise.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -146,7 +152,9 @@ impl Start {
             let (place, offset) =
                 (format!("{}: `{}`", key(index), names[index]), robot.reference()[index]);
             if !turns(index) {
-                check_coordinate(&place, (*value, reaches[index]), *bounds, offset)?;
+                let advice = if robot.has_range_in_degrees(index) { IN_DEGREES } else { CHANGE };
+                let bounds = (*bounds, advice);
+                check_coordinate(&place, (*value, reaches[index]), bounds, offset)?;
             }
         }
         start.orientations.clone_from(&bounds.orientations);
@@ -266,11 +274,12 @@ fn start_of_keyframe(name: &str, robot: &Robot) -> Result<Start, SimError> {
     })
 }
 
-/// Refuses a coordinate that its noise can move out of the bounds of a state. All are relative to the reference `offset`.
+/// Refuses a coordinate that its noise can move out of the bounds of a state, with advice for one that is outside without
+/// noise. All are relative to the reference `offset`.
 fn check_coordinate(
     place: &str,
     (value, reach): (f32, f32),
-    [low, high]: [f32; 2],
+    ([low, high], advice): ([f32; 2], &str),
     offset: f32,
 ) -> Result<(), SimError> {
     let is_inside = |reach: f32| value - reach >= low && value + reach <= high;
@@ -282,7 +291,7 @@ fn check_coordinate(
     let remedy = if reach > 0.0 && is_inside(0.0) {
         "lower its noise in start.positions or start.noise"
     } else {
-        "change it by start.coordinates, in rad or m"
+        advice
     };
     let bounds = format!("{lowest}..={highest}{WIDER}");
     Err(refused(format!("{place} starts at {at}{noise}, outside {bounds}; {remedy}")))

@@ -127,7 +127,7 @@ impl Trial {
 
     pub(super) fn summary(&self) -> String {
         let mean = |sum: f64| sum / f64::from(self.episodes);
-        let episodes = chart::counted(u64::from(self.episodes), "episode");
+        let episodes = chart::count_of(u64::from(self.episodes), "episode");
         let fastest = self.fastest.as_ref();
         let fastest = fastest.map(|(speed, name)| format!("; largest speed {speed:.1} ({name})"));
         format!(

@@ -194,3 +194,13 @@ fn a_reward_term_that_the_task_does_not_have_is_laid_at_its_own_key() {
         "{refused}"
     );
 }
+
+#[test]
+fn a_run_whose_steps_cannot_be_counted_is_refused() {
+    for setting in ["run.iterations=9223372036854775807", "run.env_steps=9007199254740993"] {
+        let refused = RunConfig::with(&[setting]).err().unwrap().to_string();
+        let (key, _) = setting.split_once('=').unwrap();
+        assert!(refused.contains(&format!("{key} = ")), "{refused}");
+        assert!(refused.contains("is out of range: 0 to 9007199"), "{refused}");
+    }
+}

@@ -43,7 +43,7 @@ impl ActorNames {
 
     /// The end states of these environments came from `actor`.
     pub(super) fn note_sender(&mut self, actor: ActorId, environments: &[u32]) {
-        let name = self.call(actor);
+        let name = self.name_of(actor);
         self.senders.extend(environments.iter().map(|environment| (*environment, name.clone())));
     }
 
@@ -59,7 +59,7 @@ impl ActorNames {
     pub(super) fn describe(&mut self, incident: &Incident) -> Notice {
         match incident {
             Incident::Gone { actor, leases } => {
-                let who = self.call(*actor);
+                let who = self.name_of(*actor);
                 self.actors.remove(actor);
                 match leases[..] {
                     [] => Notice::Usual(format!("{who} is gone; it held no lease")),
@@ -67,7 +67,7 @@ impl ActorNames {
                 }
             }
             Incident::Expired(lease) => {
-                let who = self.call(lease.actor);
+                let who = self.name_of(lease.actor);
                 let still = lease.still_secs;
                 let slow = match (lease.chunks, lease.work) {
                     (0, LeasedWork::Slot(_)) => {
@@ -82,7 +82,7 @@ impl ActorNames {
                 ))
             }
             Incident::Returned { lease, failure, detail, environments } => {
-                let who = self.call(lease.actor);
+                let who = self.name_of(lease.actor);
                 let at = at(lease);
                 let from = match failure {
                     LeaseFailure::StartState => {
@@ -93,7 +93,7 @@ impl ActorNames {
                 Notice::Loss(format!("{who} returned its lease, {at}: {detail}; {FREE}{from}"))
             }
             Incident::Quarantined { actor, pause } => {
-                let who = self.call(*actor);
+                let who = self.name_of(*actor);
                 let secs = pause.as_secs_f64();
                 Notice::Loss(format!(
                     "{who} is in quarantine: too many of its messages in a row were refused or of its leases expired; \
@@ -113,7 +113,7 @@ impl ActorNames {
         let Refusal { reason, field, detail } = refusal;
         let next = match ended {
             Some(lease) => {
-                let who = self.call(lease.actor);
+                let who = self.name_of(lease.actor);
                 format!("{who} was {}; the lease ends, {FREE}", at(lease))
             }
             None => "no lease is touched".to_owned(),
@@ -122,7 +122,7 @@ impl ActorNames {
         Notice::Refused { reason: reason.name(), field: field.clone(), line }
     }
 
-    pub(super) fn call(&self, actor: ActorId) -> String {
+    pub(super) fn name_of(&self, actor: ActorId) -> String {
         match self.actors.get(&actor) {
             Some(name) => format!("actor {actor} ({name})"),
             None => format!("actor {actor}"),
@@ -238,6 +238,6 @@ mod tests {
         let mut names = names();
         let gone = names.describe(&Incident::Gone { actor: OWN, leases: Vec::new() });
         assert_eq!(gone, Notice::Usual("actor 3 (local-0) is gone; it held no lease".to_owned()));
-        assert_eq!(names.call(OWN), "actor 3");
+        assert_eq!(names.name_of(OWN), "actor 3");
     }
 }

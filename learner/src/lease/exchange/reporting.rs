@@ -48,7 +48,7 @@ impl Exchange {
     #[must_use]
     pub fn run_snapshot(&self) -> Arc<RunSnapshot> {
         // Measured and stored under the lock of the table, so that older figures never replace newer ones.
-        self.change(|shared| self.correct(|snapshot| self.measure(shared, snapshot)));
+        self.change(|shared| self.change_quietly(|snapshot| self.measure(shared, snapshot)));
         Arc::clone(&self.snapshot.borrow())
     }
 
@@ -87,18 +87,18 @@ impl Exchange {
     /// Keeps the film of an accepted episode for the page.
     pub fn keep_film(&self, header: &PushHeader, result: EvaluationResult, film: Film) {
         let version = header.weights.version;
-        self.correct(|snapshot| snapshot.show_film(FilmedEpisode { version, result, film }));
+        self.change_quietly(|snapshot| snapshot.show_film(FilmedEpisode { version, result, film }));
     }
 
     /// Counts the bytes of a message with results, valid or not.
     pub(crate) fn count_bytes(&self, bytes: usize) {
-        self.correct(|snapshot| snapshot.bytes_received += bytes as u64);
+        self.change_quietly(|snapshot| snapshot.bytes_received += bytes as u64);
     }
 
     /// Counts steps that a log lost, an actor's or the learner's own. An actor may claim any number, so the sum
     /// saturates.
     pub(crate) fn count_lost_log_steps(&self, steps: u64) {
-        self.correct(|snapshot| {
+        self.change_quietly(|snapshot| {
             snapshot.log_steps_lost = snapshot.log_steps_lost.saturating_add(steps);
         });
     }
@@ -115,7 +115,7 @@ impl Exchange {
     }
 
     /// Changes figures without waking subscribers, who wait for events.
-    fn correct(&self, change: impl FnOnce(&mut RunSnapshot)) {
+    fn change_quietly(&self, change: impl FnOnce(&mut RunSnapshot)) {
         self.snapshot.send_if_modified(|snapshot| {
             change(Arc::make_mut(snapshot));
             false

@@ -140,16 +140,16 @@ impl Audits {
         Some(self.open.remove(at))
     }
 
-    /// Ends the audits for which an evaluation waits no longer, and those without a lease that are `hopeless` because of
-    /// the process that played the episode.
+    /// Ends the audits whose evaluation waits no longer, and those without a lease if `has_no_other_auditor` holds for the process
+    /// that played the episode.
     pub(super) fn skip_overdue(
         &mut self,
         now: Duration,
-        hopeless: impl Fn(Process) -> bool,
+        has_no_other_auditor: impl Fn(Process) -> bool,
     ) -> Vec<Audit> {
         let overdue = |audit: &mut Audit| {
             audit.wait.is_some_and(|wait| {
-                wait.until <= now || audit.holder.is_none() && hopeless(audit.process)
+                wait.until <= now || audit.holder.is_none() && has_no_other_auditor(audit.process)
             })
         };
         let skipped = self.open.extract_if(.., overdue).collect::<Vec<_>>();

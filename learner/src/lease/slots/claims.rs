@@ -114,7 +114,7 @@ impl SlotTable {
             }
         };
         if held >= share && waiting > 0 && self.is_any_free() {
-            self.actors.processes.keep_work(self.now);
+            self.actors.processes.reserve_free_work(self.now);
         }
         held < share
     }
@@ -125,11 +125,11 @@ impl SlotTable {
 
     /// No work is available to this actor. Its process waits for work if it has no lease. If there is free work that the
     /// process may not have, because the work waits or the process failed at it, no work is reserved.
-    pub(super) fn found_nothing(&mut self, owner: Owner) {
+    pub(super) fn note_no_work(&mut self, owner: Owner) {
         let is_any_free = self.is_any_free();
         let processes = &mut self.actors.processes;
         if is_any_free {
-            if processes.wait_no_more(owner.process) {
+            if processes.stop_waiting(owner.process) {
                 self.effects.push(Effect::WorkFreed);
             }
         } else if self.open.held_by(owner.process) == 0 && !processes.is_stalled(owner.process) {

@@ -90,7 +90,7 @@ impl Processes {
     }
 
     /// The process asks for work.
-    pub(super) fn asks(&mut self, process: Process, now: Duration) {
+    pub(super) fn note_request(&mut self, process: Process, now: Duration) {
         if let Some(known) = self.known.get_mut(&process) {
             known.seen = now;
         }
@@ -129,7 +129,7 @@ impl Processes {
 
     /// The process got work, or may not have the free work. Whether work that was kept is free for the others now, because
     /// no other process waits.
-    pub(super) fn wait_no_more(&mut self, process: Process) -> bool {
+    pub(super) fn stop_waiting(&mut self, process: Process) -> bool {
         let was_kept = |one: Waiting| one.kept.is_some();
         self.waiting.remove(&process).is_some_and(was_kept) && self.waiting.is_empty()
     }
@@ -142,7 +142,7 @@ impl Processes {
     }
 
     /// Work was refused to another process, to keep it for those that wait.
-    pub(super) fn keep_work(&mut self, now: Duration) {
+    pub(super) fn reserve_free_work(&mut self, now: Duration) {
         self.waiting.values_mut().for_each(|one| one.kept = one.kept.or(Some(now)));
     }
 

@@ -20,7 +20,7 @@ use base64::engine::general_purpose::STANDARD;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use security::{Role, ServerTls, Standing};
+use security::{Permissions, Role, ServerTls};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -162,8 +162,8 @@ async fn answer_over_tls(stream: TcpStream, peer: SocketAddr, tls: ServerTls, ro
     let Ok(handshake) = tokio::time::timeout(TIMEOUT, handshake).await else { return };
     match handshake {
         Ok(stream) => {
-            let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
-            match standing.demand(Role::Operator) {
+            let permissions = Permissions::of_chain(stream.get_ref().1.peer_certificates());
+            match permissions.demand(Role::Operator) {
                 Ok(()) => answer(stream, routes).await,
                 Err(denied) => {
                     let refusal = (StatusCode::FORBIDDEN, format!("{denied}\n"));

@@ -9,7 +9,7 @@ use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use proto::Refusal;
-use security::{Role, ServerTls, Standing};
+use security::{Permissions, Role, ServerTls};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::{Semaphore, mpsc, oneshot};
@@ -35,7 +35,7 @@ const WARNING_PAUSE: Duration = Duration::from_secs(10);
 pub(super) struct Peer {
     connection: ConnectionId,
     address: SocketAddr,
-    standing: Standing,
+    permissions: Permissions,
     token: Option<Arc<RequiredToken>>,
     registry: Arc<Registry>,
     pushes: Arc<Semaphore>,
@@ -78,7 +78,7 @@ pub(super) fn needs(role: Role) -> impl Fn(Request<()>) -> Result<Request<()>, S
 /// Rejects a call if its peer does not have this role.
 pub(super) fn demand<T>(request: &Request<T>, role: Role) -> Result<(), Status> {
     let peer = peer(request);
-    let denied = peer.standing.demand(role);
+    let denied = peer.permissions.demand(role);
     denied.map_err(|denied| peer.rejected(Status::permission_denied(denied.to_string())))
 }
 
@@ -166,7 +166,7 @@ async fn admit(
         _ = &mut open.closed => return,
         accepted = accept_handshake(io, address, tls.as_ref()) => accepted,
     };
-    if let Some(Accepted { stream, standing }) = accepted {
+    if let Some(Accepted { stream, permissions }) = accepted {
         // Sending fails if the server has ended; the connection is then dropped.
         let _sent = server
             .send(Ok(Connection {
@@ -174,7 +174,7 @@ async fn admit(
                 peer: Peer {
                     connection: open.id,
                     address,
-                    standing,
+                    permissions,
                     token,
                     registry: Arc::clone(&open.registry),
                     pushes: Arc::new(Semaphore::new(MOST_PUSHES)),

@@ -5,7 +5,7 @@ use std::io::{self, Cursor};
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use security::{ServerTls, Standing, explain_rejection};
+use security::{Permissions, ServerTls, explain_rejection};
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
@@ -28,7 +28,7 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
 /// An accepted connection.
 pub(super) struct Accepted {
     pub(super) stream: Box<dyn ByteStream>,
-    pub(super) standing: Standing,
+    pub(super) permissions: Permissions,
 }
 
 /// Performs the handshake, with TLS if `tls` is there. Rejects the connection with a log message.
@@ -55,12 +55,12 @@ async fn handshake(
 ) -> Result<Accepted, String> {
     let Some(tls) = tls else {
         let stream = after_preface(stream, peer).await?;
-        return Ok(Accepted { stream, standing: Standing::Unasked });
+        return Ok(Accepted { stream, permissions: Permissions::All });
     };
     match TlsAcceptor::from(tls.config()).accept(stream).into_fallible().await {
         Ok(stream) => {
-            let standing = Standing::of_chain(stream.get_ref().1.peer_certificates());
-            Ok(Accepted { stream: after_preface(stream, peer).await?, standing })
+            let permissions = Permissions::of_chain(stream.get_ref().1.peer_certificates());
+            Ok(Accepted { stream: after_preface(stream, peer).await?, permissions })
         }
         Err((error, stream)) => {
             close(stream).await;

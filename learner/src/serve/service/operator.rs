@@ -9,7 +9,7 @@ use tonic::Streaming;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 
-use crate::serve::health::{HealthError, answered, call_failed, connect};
+use crate::serve::client::{CallError, answered, call_failed, connect};
 
 /// A connection to the control service of a learner.
 #[derive(Clone, Debug)]
@@ -36,7 +36,7 @@ impl Operator {
         tls: Option<&ClientTls>,
         token: Option<&Token>,
         timeout: Duration,
-    ) -> Result<Self, HealthError> {
+    ) -> Result<Self, CallError> {
         let channel = connect(url, tls, timeout).await?;
         let header = token.map(Token::header);
         let authorization = Authorization::new(header.as_deref());
@@ -48,7 +48,7 @@ impl Operator {
     ///
     /// # Errors
     /// No response, or the call is rejected.
-    pub async fn status(&mut self) -> Result<Status, HealthError> {
+    pub async fn status(&mut self) -> Result<Status, CallError> {
         let answer = self.service.get_status(wire::GetStatusRequest {});
         Ok(Status::from_wire(answered(&self.url, self.timeout, answer).await?))
     }
@@ -57,7 +57,7 @@ impl Operator {
     ///
     /// # Errors
     /// No response, or the call is rejected.
-    pub async fn stop(&mut self) -> Result<(), HealthError> {
+    pub async fn stop(&mut self) -> Result<(), CallError> {
         let answer = self.service.stop(wire::StopRequest {});
         answered(&self.url, self.timeout, answer).await.map(drop)
     }
@@ -66,7 +66,7 @@ impl Operator {
     ///
     /// # Errors
     /// No response, or the call is rejected.
-    pub async fn watch(&mut self, after_iteration: u64) -> Result<WatchedLines, HealthError> {
+    pub async fn watch(&mut self, after_iteration: u64) -> Result<WatchedLines, CallError> {
         let answer = self.service.watch_run(wire::WatchRunRequest { after_iteration });
         let stream = answered(&self.url, self.timeout, answer).await?;
         Ok(WatchedLines { url: self.url.clone(), stream })
@@ -78,7 +78,7 @@ impl WatchedLines {
     ///
     /// # Errors
     /// The connection broke, or the line is invalid.
-    pub async fn next(&mut self) -> Result<Option<RunLine>, HealthError> {
+    pub async fn next(&mut self) -> Result<Option<RunLine>, CallError> {
         let line = self.stream.message().await.map_err(|status| call_failed(&self.url, &status))?;
         line.map(RunLine::from_wire)
             .transpose()

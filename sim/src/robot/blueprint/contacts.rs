@@ -203,29 +203,50 @@ impl Blueprint {
 
     /// Has the engine's solver enforce contacts and limits, which it cannot do for all models.
     pub(crate) fn use_engine(&mut self, compliance: f32) -> Result<(), String> {
-        let reason = |why: &str| Err(format!("`physics.contact_compliance` {why}; remove it"));
+        if let Some(need) = self.unmet_requirement() {
+            return Err(format!("`physics.contact_compliance` needs {need}; remove it"));
+        }
+        if self.contacts.cone == Cone::Elliptic {
+            let what = "friction is limited by a pyramid, not by an elliptic cone";
+            self.left_out.push(what.to_owned());
+        }
+        if self.contacts.impratio != 1.0 {
+            self.left_out.push("`impratio` is 1".to_owned());
+        }
+        let contacts = self.shapes().filter_map(|shape| self.floor_contact(shape));
+        let count = contacts.filter(|contact| contact.dimensions > 3).count();
+        if count > 0 {
+            let what = "contacts have no friction against spinning and rolling (`condim` 4 and 6)";
+            self.left_out.push(format!("{what}; shapes: {count}"));
+        }
+        self.law = Law::Engine { compliance };
+        Ok(())
+    }
+
+    /// Requirement of the engine's solver that the model does not meet; `None` if it meets all.
+    fn unmet_requirement(&self) -> Option<&'static str> {
         if self.has_several_trees() {
-            return reason("needs a model with one tree of bodies");
+            return Some("a model with one tree of bodies");
         }
         let is_plain = self.contacts.pairs.is_empty() && !self.contacts.links_touch;
         let grounds = self.grounds.as_slice();
         let is_plane = matches!(grounds, [] | [GroundPlan { form: GroundForm::Plane, .. }]);
         if !is_plain || !is_plane || self.shapes().any(|shape| self.meets_another(shape)) {
-            return reason("needs a world with one plane and nothing else to touch");
+            return Some("a world with one plane and nothing else to touch");
         }
         let contacts = self.shapes().filter_map(|shape| self.floor_contact(shape));
         let contacts = contacts.map(|contact| contact.softness);
         let hinges = self.links.iter().filter_map(LinkPlan::hinge);
         let limits = hinges.filter(|hinge| hinge.range.is_some()).map(|hinge| hinge.limit);
         if !contacts.chain(limits).all(|softness| softness.is_plain()) {
-            return reason(
-                "needs `solref` with a damping ratio of 1 and `solimp` with midpoint 0.5 and power 2",
+            return Some(
+                "`solref` with a damping ratio of 1 and `solimp` with midpoint 0.5 and power 2",
             );
         }
         let mut hinges = self.links.iter().filter_map(LinkPlan::hinge);
         let is_narrow = |[low, high]: [f32; 2], margin: f32| 2.0 * margin >= high - low;
         if hinges.any(|hinge| hinge.range.is_some_and(|range| is_narrow(range, hinge.margin))) {
-            return reason("needs joints whose `margin` is less than half their `range`");
+            return Some("joints whose `margin` is less than half their `range`");
         }
         let free = |joint: &JointPlan| match joint {
             JointPlan::Free(free) | JointPlan::Floating(free) => free.friction,
@@ -237,28 +258,20 @@ impl Blueprint {
             || self.tendons.iter().any(has_limit)
             || self.links.iter().any(|link| free(&link.joint) > 0.0 || link.ball().is_some())
         {
-            return reason(
-                "needs a model without equalities, ball joints, limits or friction of tendons, and friction of a free joint",
+            return Some(
+                "a model without equalities, ball joints, limits or friction of tendons, and friction of a free joint",
             );
         }
         if self.links.iter().filter_map(LinkPlan::hinge).any(|hinge| hinge.compensates_gravity) {
-            return reason("needs a model without `actuatorgravcomp`");
+            return Some("a model without `actuatorgravcomp`");
         }
         if self.motors.iter().any(|motor| motor.thrust.is_some()) {
-            return reason("needs a model without actuators on sites");
+            return Some("a model without actuators on sites");
         }
         if self.fluid.is_some() {
-            return reason("needs a model without the `density` and `viscosity` of a fluid");
+            return Some("a model without the `density` and `viscosity` of a fluid");
         }
-        if self.contacts.cone == Cone::Elliptic {
-            let what = "friction is limited by a pyramid, not by an elliptic cone";
-            self.left_out.push(what.to_owned());
-        }
-        if self.contacts.impratio != 1.0 {
-            self.left_out.push("`impratio` is 1".to_owned());
-        }
-        self.law = Law::Engine { compliance };
-        Ok(())
+        None
     }
 
     /// Contact of a shape with the fixed shape `ground`; `None` if MuJoCo computes none.

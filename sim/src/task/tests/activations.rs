@@ -72,3 +72,23 @@ fn an_episode_starts_with_the_activations_of_its_keyframe() {
     let error = wheel("[start]\nkeyframe = \"wrong\"\n").map(drop).unwrap_err().to_string();
     assert!(error.contains("start.keyframe (an activation)"), "{error}");
 }
+
+#[test]
+fn a_filter_that_starts_elsewhere_than_action_0_is_named() {
+    let named = |lines: &str| {
+        let warnings = wheel(lines).unwrap().warnings();
+        warnings.into_iter().find(|warning| warning.contains("filters start at another activation"))
+    };
+    let around = "[actions]\naround = \"start\"\n[start]\n";
+    let at = |position: f32| format!("coordinates = {{ j = {position} }}");
+    // The middle of the control range too.
+    for position in [0.2, 0.5] {
+        let cold = named(&format!("{around}{}", at(position))).unwrap();
+        assert!(cold.contains("`servo` at 0 instead of 0."), "{cold}");
+    }
+    let warm = |position: f32| format!("keyframe = \"warm\"\n{}", at(position));
+    let warmer = named(&format!("{around}{}", warm(0.25))).unwrap();
+    assert!(warmer.contains("`servo` at 0.5 instead of 0.25"), "{warmer}");
+    assert_eq!(named(&format!("{around}{}", warm(0.505))), None);
+    assert_eq!(named(&format!("[start]\n{}", at(0.2))), None);
+}

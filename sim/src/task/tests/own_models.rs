@@ -150,3 +150,24 @@ fn agents_of_rotors_observe_their_root_and_need_no_floor() {
     }
     assert!(!world.warnings().iter().any(|warning| warning.contains("no floor")));
 }
+
+#[test]
+fn links_are_driven_by_the_agents_of_their_joints_tendons_and_sites() {
+    let drivers = |motor: &str| {
+        let model = format!(
+            "<mujoco><worldbody><body name=\"craft\" pos=\"0 0 2\"><freejoint/><geom size=\".1\"/><site name=\"hip\"/>\
+             <body name=\"arm\" pos=\".3 0 0\"><joint name=\"a\"/><geom size=\".1\"/><body name=\"hand\" pos=\".3 0 0\">\
+             <joint name=\"b\"/><geom size=\".1\"/></body></body></body></worldbody>\
+             <tendon><fixed name=\"t\"><joint joint=\"a\" coef=\"1\"/><joint joint=\"b\" coef=\"1\"/></fixed></tendon>\
+             <actuator><motor site=\"hip\" gear=\"0 0 1 0 0 0\" ctrlrange=\"0 9\"/>\
+             <motor name=\"knee\" {motor} ctrlrange=\"-9 9\"/></actuator></mujoco>"
+        );
+        let world = world(FILE, &model);
+        let drivers = crate::drivers(&*world);
+        let links = world.pose(0).links.into_iter().map(|link| link.name);
+        let named = links.zip(drivers).collect::<std::collections::BTreeMap<_, _>>();
+        ["craft", "arm", "hand"].map(|link| named[link])
+    };
+    assert_eq!(drivers("tendon=\"t\""), [Some(0), Some(1), Some(1)]);
+    assert_eq!(drivers("joint=\"b\""), [Some(0), None, Some(1)]);
+}

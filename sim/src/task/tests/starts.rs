@@ -192,6 +192,23 @@ fn ranges_that_look_like_degrees_for_radians_or_radians_for_degrees_are_named() 
     // Whole turns may be meant.
     let [from, to] = knee("name=\"knee\" range=\"-6 6\"");
     assert_eq!(warnings([&from, &to], ""), [""; 0]);
+    let [from, to] = knee("name=\"knee\" range=\"-150 -30\"");
+    let mut config = config(HOPPER, ObservationMode::FullId);
+    let model = &mut config.definition.as_mut().unwrap().model;
+    *model = model.replacen(&from, &to, 1);
+    let refused = environments(&config, 1).err().unwrap().to_string();
+    assert!(refused.contains("in degrees, set `angle=\"degree\"` of the <compiler>"), "{refused}");
+}
+
+#[test]
+fn an_actuator_with_the_name_of_the_joint_of_another_is_named() {
+    let own =
+        "<motor name=\"hip\" joint=\"hip\" gear=\"80\"/>\n    <motor name=\"knee\" joint=\"knee\"";
+    let exchanged =
+        "<motor name=\"knee\" joint=\"hip\" gear=\"80\"/><motor name=\"hip\" joint=\"knee\"";
+    let found = warnings([own, exchanged], "");
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].contains("sites of other actuators, `knee`, `hip`: "), "{found:?}");
 }
 
 /// The shank ends 0.06 m above the floor, and what is added 0.08 m above it.

@@ -284,6 +284,20 @@ fn the_engines_solver_is_refused_where_gravity_compensation_is_a_force_of_actuat
     assert!(reason.contains("needs a model without `actuatorgravcomp`; remove it"), "{reason}");
 }
 
+#[test]
+fn the_engines_solver_says_that_it_has_no_friction_against_spinning_and_rolling() {
+    for (condim, expected) in [("3", 0), ("4", 1), ("6", 1)] {
+        let mjcf = format!(
+            "<mujoco><worldbody><geom type=\"plane\" size=\"1 1 1\"/><body pos=\"0 0 .2\"><freejoint/>\
+             <geom size=\".1\" condim=\"{condim}\"/></body></worldbody></mujoco>"
+        );
+        let physics = Physics { contact_compliance: Some(0.1), ..Physics::default() };
+        let robot = robot_with(&mjcf, physics, &|path| Err(path.to_owned())).unwrap();
+        let left_out = robot.left_out().iter().filter(|what| what.contains("spinning and rolling"));
+        assert_eq!(left_out.count(), expected, "{condim}");
+    }
+}
+
 /// After 0.1 s.
 #[test]
 fn the_friction_of_a_pair_has_its_own_damping_in_an_elliptic_cone() {

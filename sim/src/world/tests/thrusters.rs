@@ -117,9 +117,10 @@ fn thrusters_continue_bit_for_bit_from_a_restored_motion() {
 #[test]
 fn an_actuator_on_a_site_names_it_with_its_link_and_unit() {
     let robot = robot(&flying("", CRAFT, THRUSTERS)).unwrap();
-    let found: Vec<_> = robot.actuators().map(|own| (own.name, own.joint, own.pushed)).collect();
-    assert_eq!(found[0], ("a", "a", Some(("body 1", "N"))));
-    assert_eq!(found[3], ("yaw", "d", Some(("body 1", "N m"))));
+    let found: Vec<_> =
+        robot.actuators().map(|own| (own.name, own.joint, own.pushed, own.unit)).collect();
+    assert_eq!(found[0], ("a", "a", Some("body 1"), "N"));
+    assert_eq!(found[3], ("yaw", "d", Some("body 1"), "N m"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The client of the standard gRPC health protocol.
+//! Client of a learner: connections, timeouts, the health check, and errors of calls.
 
 use std::error::Error as _;
 use std::time::Duration;
@@ -15,9 +15,9 @@ const KEEPALIVE: Duration = Duration::from_secs(30);
 /// Time after which a connection is closed that does not answer a ping.
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Why a learner is not healthy, or why a call to it failed.
+/// Why a call to a learner failed, or its health check.
 #[derive(Debug, thiserror::Error)]
-pub enum HealthError {
+pub enum CallError {
     /// The learner cannot be reached, or the connection broke.
     #[error("{url} does not answer: {detail}")]
     Unreachable {
@@ -48,7 +48,7 @@ pub enum HealthError {
     Final(String),
 }
 
-impl HealthError {
+impl CallError {
     /// There is no connection to `url`, because the TLS settings of the two sides do not match.
     #[must_use]
     pub fn no_session(url: &str, why: &str) -> Self {
@@ -64,7 +64,7 @@ pub async fn demand_serving(
     url: &str,
     tls: Option<&ClientTls>,
     timeout: Duration,
-) -> Result<(), HealthError> {
+) -> Result<(), CallError> {
     // The empty name means the whole server.
     let request = HealthCheckRequest { service: String::new() };
     let check = async {
@@ -75,13 +75,13 @@ pub async fn demand_serving(
     let answer = answer.map_err(|_| timed_out(url, timeout))??;
     match answer.status() {
         ServingStatus::Serving => Ok(()),
-        other => Err(HealthError::Final(format!("{url} reports {}", other.as_str_name()))),
+        other => Err(CallError::Final(format!("{url} reports {}", other.as_str_name()))),
     }
 }
 
 /// The endpoint at `url`, with the client certificate of `tls`.
-fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, HealthError> {
-    let wrong = |detail: String| HealthError::InvalidUrl { url: url.to_owned(), detail };
+fn endpoint(url: &str, tls: Option<&ClientTls>) -> Result<Endpoint, CallError> {
+    let wrong = |detail: String| CallError::InvalidUrl { url: url.to_owned(), detail };
     let invalid = |error: tonic::transport::Error| wrong(innermost(&error));
     security::addresses::check_port(url).map_err(|port| wrong(port.to_string()))?;
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(invalid)?;
@@ -103,15 +103,15 @@ pub(crate) async fn connect(
     url: &str,
     tls: Option<&ClientTls>,
     timeout: Duration,
-) -> Result<Channel, HealthError> {
+) -> Result<Channel, CallError> {
     let endpoint = endpoint(url, tls)?
         .http2_keep_alive_interval(KEEPALIVE)
         .keep_alive_timeout(KEEPALIVE_TIMEOUT)
         .keep_alive_while_idle(true);
     match tokio::time::timeout(timeout, endpoint.connect()).await {
         Ok(connected) => connected.map_err(|error| match security::explain(&error) {
-            Some(why) => HealthError::no_session(url, &why),
-            None => HealthError::Unreachable { url: url.to_owned(), detail: innermost(&error) },
+            Some(why) => CallError::no_session(url, &why),
+            None => CallError::Unreachable { url: url.to_owned(), detail: innermost(&error) },
         }),
         Err(_) => Err(timed_out(url, timeout)),
     }
@@ -122,21 +122,21 @@ pub(crate) async fn answered<T>(
     url: &str,
     timeout: Duration,
     answer: impl Future<Output = Result<Response<T>, Status>>,
-) -> Result<T, HealthError> {
+) -> Result<T, CallError> {
     match tokio::time::timeout(timeout, answer).await {
         Ok(answer) => answer.map(Response::into_inner).map_err(|status| call_failed(url, &status)),
         Err(_) => Err(timed_out(url, timeout)),
     }
 }
 
-fn timed_out(url: &str, timeout: Duration) -> HealthError {
-    HealthError::TimedOut { url: url.to_owned(), timeout }
+fn timed_out(url: &str, timeout: Duration) -> CallError {
+    CallError::TimedOut { url: url.to_owned(), timeout }
 }
 
 /// The error for a failed call: rejected by the learner at `url`, refused by TLS, or lost in transit.
-pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
+pub(crate) fn call_failed(url: &str, status: &Status) -> CallError {
     if let Some(why) = security::explain(status) {
-        return HealthError::no_session(url, &why);
+        return CallError::no_session(url, &why);
     }
     let detail = explanation(url, status);
     match status.code() {
@@ -144,8 +144,8 @@ pub(crate) fn call_failed(url: &str, status: &Status) -> HealthError {
         | Code::FailedPrecondition
         | Code::PermissionDenied
         | Code::Unauthenticated
-        | Code::Unimplemented => HealthError::Final(format!("{url} rejected the call: {detail}")),
-        _ => HealthError::Unreachable { url: url.to_owned(), detail },
+        | Code::Unimplemented => CallError::Final(format!("{url} rejected the call: {detail}")),
+        _ => CallError::Unreachable { url: url.to_owned(), detail },
     }
 }
 
@@ -196,8 +196,8 @@ mod tests {
             refused.to_string(),
             "no session with https://learner:1: the learner refuses this certificate: another authority has signed it"
         );
-        assert!(matches!(refused, HealthError::Final(_)));
+        assert!(matches!(refused, CallError::Final(_)));
         let broken = failed(AlertDescription::BadRecordMac);
-        assert!(matches!(broken, HealthError::Unreachable { .. }), "{broken}");
+        assert!(matches!(broken, CallError::Unreachable { .. }), "{broken}");
     }
 }
